@@ -1,0 +1,1 @@
+"""A data logger for Modbus devices."""

@@ -1,0 +1,5 @@
+"""``python -m roclog``."""
+
+from roclog.cli import main
+
+main()

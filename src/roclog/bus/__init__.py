@@ -1,0 +1,1 @@
+"""Who speaks when. The only sockets and serial ports of the logger are in this package."""

@@ -1,0 +1,31 @@
+"""Counts of what happened on the wire, one for each device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counters since the last ``LINK`` message; times in nanoseconds."""
+
+    requests: int = 0
+    answers: int = 0
+    timeouts: int = 0
+    late_answers: int = 0
+    crc_errors: int = 0
+    wrong_answers: int = 0
+    discarded_octets: int = 0
+    link_losses: int = 0
+    round_trip_sum: int = 0
+    round_trip_max: int = 0
+    busy: int = 0
+    exceptions: dict[int, int] = field(default_factory=dict)
+
+    def count_exception(self, code: int) -> None:
+        self.exceptions[code] = self.exceptions.get(code, 0) + 1
+
+    def count_answer(self, round_trip: int) -> None:
+        self.answers += 1
+        self.round_trip_sum += round_trip
+        self.round_trip_max = max(self.round_trip_max, round_trip)

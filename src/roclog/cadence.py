@@ -1,0 +1,174 @@
+"""When does the device complete its samples? The timing guard and the count of missed ones.
+
+All times are monotonic nanoseconds. A sample that a read shows has completed after the request of
+the latest read that did not show it, and before the end of the answer that does. Where the cycle is
+known, these windows narrow from sample to sample, and the number of samples between two kept ones
+follows. Where two counts are possible, both are carried until later reads rule one out.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from statistics import median
+from typing import Final
+
+TOLERANCE: Final = 0.01
+"""Part of a cycle by which a device may be early or late in one cycle."""
+_COUNTABLE: Final = 20
+"""Cycles; across a longer blind spell the count of missed samples is an estimate."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Guess:
+    """The last kept sample completed between ``low`` and ``high``, ``missed`` others before it."""
+
+    low: float
+    high: float
+    missed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Missed:
+    """Samples that completed between two instants and were never read."""
+
+    after: int
+    before: int
+    count: int
+
+
+class Cadence:
+    """Follows the completions of one block.
+
+    cycle: nanoseconds between samples as configured or as the device says; None = unknown, then
+    nothing is guarded and nothing counted.
+    """
+
+    def __init__(self, cycle: int | None) -> None:
+        self.cycle = cycle
+        self._guesses: list[_Guess] = []
+        self._spacings: deque[tuple[int, int]] = deque(maxlen=8)
+        self._shortest: deque[int] = deque(maxlen=32)
+        self._previous: tuple[int, int] | None = None
+        self._blind_from: int | None = None
+        self._spell: tuple[int, int] | None = None
+        self._reported = 0
+
+    def quiet(self, asked_at: int) -> Missed | None:
+        """A read that showed no news was asked for at ``asked_at``; returns as ``completed`` does."""
+        self._blind_from = asked_at
+        cycle = self.effective_cycle
+        if not self._guesses or cycle is None:
+            return None
+        floor = asked_at - cycle * (1 + TOLERANCE)
+        self._guesses = [
+            _Guess(max(guess.low, floor), guess.high, guess.missed)
+            for guess in self._guesses
+            if guess.high >= floor
+        ]
+        return self._settle(min(g.missed for g in self._guesses)) if self._guesses else None
+
+    def completed(self, asked_at: int, read_at: int) -> Missed | None:
+        """A read showed a new sample. Returns the samples that are now known to have been missed."""
+        since = self._blind_from
+        self._blind_from = asked_at
+        cycle = self.effective_cycle
+        if cycle is None:
+            return None
+        if since is None:
+            since = asked_at - cycle
+        self._note_spacing((since, read_at))
+        if not self._guesses:
+            self._restart(since, read_at, asked_at, cycle)
+            return None
+        if read_at - since > cycle * _COUNTABLE:
+            count = max(0, int((read_at - self._guesses[0].high) / cycle) - 1)
+            self._restart(since, read_at, asked_at, cycle)
+            return Missed(since, read_at, count) if count else None
+        if read_at - since > cycle * (1 - TOLERANCE):
+            self._spell = (self._spell[0] if self._spell else since, read_at)
+        guesses = self._step(since, asked_at, read_at, cycle)
+        if not guesses:
+            self._restart(since, read_at, asked_at, cycle)
+            return None
+        self._guesses = guesses
+        return self._settle(min(guess.missed for guess in guesses))
+
+    def close(self) -> Missed | None:
+        """What may have been missed and can no longer be ruled out."""
+        return self._settle(max((guess.missed for guess in self._guesses), default=0))
+
+    def forget(self) -> None:
+        """The device restarted or was away: its phase is unknown."""
+        self._guesses = []
+        self._spell = None
+        self._reported = 0
+        self._previous = None
+        self._blind_from = None
+
+    @property
+    def effective_cycle(self) -> int | None:
+        """The configured cycle, or the observed one where most spacings contradict the former."""
+        if self.cycle is None:
+            return None
+        slack = self.cycle * TOLERANCE
+        against = [
+            (low + high) // 2
+            for low, high in self._spacings
+            if not low - slack <= self.cycle <= high + slack
+        ]
+        if len(against) >= 4 and 2 * len(against) > len(self._spacings):
+            return max(1, int(median(against)))
+        return self.cycle
+
+    def guarded_until(self) -> int | None:
+        """Before this instant no sample after the last kept one can have completed."""
+        cycle = self.effective_cycle
+        if cycle is None or not self._guesses:
+            return None
+        shortest = min((cycle, *self._shortest))
+        return int(min(guess.low for guess in self._guesses) + shortest * 0.95)
+
+    def overdue(self, asked_at: int) -> bool:
+        """Whether a sample should have shown by ``asked_at``, by more than half a cycle."""
+        cycle = self.effective_cycle
+        if cycle is None or self._previous is None:
+            return False
+        return asked_at > self._previous[1] + 1.5 * cycle
+
+    def _note_spacing(self, window: tuple[int, int]) -> None:
+        if self._previous is not None and self.cycle is not None:
+            low, high = window[0] - self._previous[1], window[1] - self._previous[0]
+            if window[1] - window[0] < self.cycle:
+                self._spacings.append((max(0, low), high))
+            if high < self.cycle * (1 - TOLERANCE):
+                self._shortest.append(max(0, low))
+        self._previous = window
+
+    def _restart(self, since: int, read_at: int, asked_at: int, cycle: int) -> None:
+        low = max(since, asked_at - cycle * (1 + TOLERANCE))
+        self._guesses = [_Guess(low, read_at, 0)]
+        self._spell = None
+        self._reported = 0
+
+    def _step(self, since: int, asked_at: int, read_at: int, cycle: int) -> list[_Guess]:
+        early, late = cycle * (1 - TOLERANCE), cycle * (1 + TOLERANCE)
+        found: dict[int, _Guess] = {}
+        for guess in self._guesses:
+            for n in range(1, int((read_at - guess.low) / early) + 2):
+                low = max(guess.low + n * early, since, asked_at - late)
+                high = min(guess.high + n * late, read_at)
+                if low <= high:
+                    missed = guess.missed + n - 1
+                    other = found.get(missed, _Guess(low, high, missed))
+                    found[missed] = _Guess(min(low, other.low), max(high, other.high), missed)
+        return list(found.values())
+
+    def _settle(self, certain: int) -> Missed | None:
+        count, self._reported = certain - self._reported, certain
+        spell = self._spell
+        if len(self._guesses) == 1:
+            self._guesses = [_Guess(self._guesses[0].low, self._guesses[0].high, 0)]
+            self._reported = 0
+            self._spell = None
+        return Missed(spell[0], spell[1], count) if count > 0 and spell is not None else None

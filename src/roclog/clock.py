@@ -1,0 +1,30 @@
+"""The two clocks every sample carries, behind one small interface so that tests pass their own."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class Instant:
+    """One moment on both clocks, integer nanoseconds."""
+
+    utc: int
+    monotonic: int
+
+
+class Clock(Protocol):
+    """Wall time may step; monotonic time never does. Schedules use monotonic time only."""
+
+    def now(self) -> Instant:
+        """Both clocks, read one right after the other."""
+        ...
+
+
+class SystemClock:
+    """CLOCK_REALTIME and CLOCK_MONOTONIC of this host."""
+
+    def now(self) -> Instant:
+        return Instant(time.time_ns(), time.monotonic_ns())

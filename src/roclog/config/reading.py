@@ -1,0 +1,134 @@
+"""From a file to tables whose single values are right, with every problem collected on the way."""
+
+from __future__ import annotations
+
+import re
+import stat
+import tomllib
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args, get_origin
+
+import msgspec
+from msgspec import UNSET, Struct, UnsetType
+from msgspec.structs import fields
+
+from roclog.config.leaves import parse_leaf, shown
+from roclog.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+    from typing import TypeVar
+
+    Table = TypeVar("Table", bound=Struct)
+
+_LARGEST_FILE: Final = 1 << 20
+_PLACE: Final = re.compile(r"(.*) \(at line (\d+), column (\d+)\)", re.DOTALL)
+
+
+class Problems:
+    """What is wrong so far."""
+
+    def __init__(self) -> None:
+        self.found: list[Problem] = []
+
+    def add(self, key: str, text: str) -> None:
+        self.found.append(Problem(key, text))
+
+    def at(self, key: str) -> bool:
+        """Whether something is wrong with this key; what depends on it is not judged then."""
+        return any(problem.key == key for problem in self.found)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Raises ConfigError with one problem; that of a syntax error names line and column."""
+    try:
+        if stat.S_ISDIR(path.stat().st_mode):
+            raise ConfigError(path, [Problem("", "is a directory, not a configuration file")])
+        with path.open("rb") as file:
+            octets = file.read(_LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise ConfigError(path, [Problem("", f"cannot be read: {reason}")]) from error
+    if len(octets) > _LARGEST_FILE:
+        raise ConfigError(path, [Problem("", "is larger than 1 MiB, so not a configuration")])
+    try:
+        text = octets.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = octets.count(b"\n", 0, error.start) + 1
+        raise ConfigError(path, [Problem(f"line {line}", "is not UTF-8 text")]) from error
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(path, [_syntax_problem(str(error), text)]) from error
+    except RecursionError as error:
+        raise ConfigError(path, [Problem("", "arrays or tables are nested too deeply")]) from error
+    except ValueError as error:  # an integer of thousands of digits, a date like 2026-02-30
+        raise ConfigError(path, [Problem("", f"not a TOML value: {error}")]) from error
+
+
+def _syntax_problem(message: str, text: str) -> Problem:
+    match = _PLACE.fullmatch(message)
+    if match is not None:
+        return Problem(f"line {match[2]}, column {match[3]}", f"not TOML: {match[1]}")
+    lines = text.split("\n")
+    reason = message.removesuffix(" (at end of document)")
+    place = f"line {len(lines)}, column {len(lines[-1]) + 1}"
+    return Problem(place, f"not TOML: {reason} (the file ends here)")
+
+
+def joined(key: str, name: str) -> str:
+    """Key path of ``name`` in the table ``key``, quoted as in TOML where that is needed."""
+    bare = re.fullmatch(r"[A-Za-z0-9_-]+", name) is not None
+    return f"{key}.{name if bare else shown(name)}".lstrip(".")
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """``, did you mean "..."?`` where a known word is close, else nothing."""
+    close = get_close_matches(word.lower(), list(known), n=1, cutoff=0.5)
+    return f', did you mean "{close[0]}"?' if close else ""
+
+
+def read_table(kind: type[Table], value: object, key: str, problems: Problems) -> Table:
+    """Check every key of one table.
+
+    A key that is wrong is reported and left UNSET, so that the others can still be judged.
+    """
+    allowed = {field.name: field for field in fields(kind)}
+    tag_field = kind.__struct_config__.tag_field
+    found: dict[str, Any] = {}
+    if isinstance(value, dict):
+        for name in value.keys() - allowed.keys() - {tag_field}:
+            problems.add(joined(key, name), f"unknown key{suggestion(name, allowed)}")
+        for name, field in allowed.items():
+            if name in value:
+                found[name] = _read_value(field.type, value[name], joined(key, name), problems)
+            elif field.required:
+                problems.add(joined(key, name), "missing")
+    else:
+        problems.add(key, f"{shown(value)} is not a table")
+    return kind(**{field.name: found.get(field.name, UNSET) for field in allowed.values()})
+
+
+def _read_value(kind: Any, value: object, key: str, problems: Problems) -> object:
+    (plain,) = (arm for arm in get_args(kind) if arm is not UnsetType)
+    if isinstance(plain, type) and issubclass(plain, Struct):
+        return read_table(plain, value, key, problems)
+    try:
+        return msgspec.convert(value, plain, dec_hook=parse_leaf)
+    except msgspec.ValidationError as error:
+        problems.add(key, _refusal(plain, value, error))
+        return UNSET
+
+
+def _refusal(kind: Any, value: object, error: msgspec.ValidationError) -> str:
+    if isinstance(error.__cause__, (TypeError, ValueError)):  # raised by parse_leaf
+        return str(error.__cause__)
+    title = next((meta.title for meta in kind.__metadata__ if meta.title), None)
+    if title is not None:
+        return f"{shown(value)} is not {title}"
+    inner = kind.__origin__
+    words = get_args(inner) if get_origin(inner) is Literal else tuple(inner)
+    text = [str(word) for word in words if isinstance(word, str)]
+    hint = suggestion(value, text) if isinstance(value, str) else ""
+    return f"{shown(value)} is not {' or '.join(shown(word) for word in words)}{hint}"

@@ -1,0 +1,91 @@
+"""What a valid configuration says, with every default filled in. Durations are nanoseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from roclog.register_map import RegisterMap, WordOrder
+
+Transport = Literal["rtu", "tcp"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingSettings:
+    """Where segments go and when one ends.
+
+    directory: absolute; need not exist yet. segment_size, keep_size: octets.
+    keep_age, keep_size: None keeps everything.
+    """
+
+    directory: Path
+    segment_duration: int
+    segment_size: int
+    keep_age: int | None = None
+    keep_size: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Connection:
+    """A serial line or a TCP server.
+
+    port: path of the serial port, or TCP port number.
+    host: empty on a serial line; baudrate, bytesize, parity and stopbits are 0 or empty on TCP.
+    timeout: for an answer to begin and end, from the end of the request.
+    late_answer: from the start of a request until its answer can no longer come; None on TCP.
+    silence: before every frame. character: duration of one on the wire. Both 0 on TCP.
+    """
+
+    name: str
+    transport: Transport
+    port: str | int
+    host: str
+    baudrate: int
+    bytesize: int
+    parity: str
+    stopbits: int
+    timeout: int
+    late_answer: int | None
+    silence: int
+    character: int
+
+    @property
+    def place(self) -> str:
+        """Serial port or host:port, for people."""
+        if self.transport == "rtu":
+            return str(self.port)
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{host}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Device:
+    """A device on a connection. cycle: time between samples; None = what the device says."""
+
+    name: str
+    profile: RegisterMap
+    connection: str
+    unit: int
+    poll: int
+    word_order: WordOrder
+    acknowledge: bool
+    cycle: int | None
+
+    @property
+    def clears(self) -> bool:
+        """Whether roclog writes to the device: it may acknowledge, and its profile has a flag."""
+        return self.acknowledge and any(b.trigger is not None for b in self.profile.samples)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """A configuration. path: the file, absolute. Mappings are in the order of the file."""
+
+    path: Path
+    recording: RecordingSettings
+    connections: Mapping[str, Connection]
+    devices: Mapping[str, Device]

@@ -1,0 +1,183 @@
+"""The tables and keys of a configuration file.
+
+The check of single values, the did-you-mean of a key and the JSON Schema for editors all come from
+these Structs. UNSET: the file does not say, or what it says is already reported.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Literal
+
+from msgspec import UNSET, Meta, Struct, UnsetType, json
+
+from roclog.config.leaves import NAME, Duration, Host, PathText, Silence, Size, leaf_schema
+from roclog.devices import PROFILES
+from roclog.register_map import WordOrder
+
+SCHEMA_FILE: Final = "config.schema.json"
+LATER_TRANSPORTS: Final = frozenset({"udp", "rtu-over-tcp"})
+LATER_PROFILES: Final = frozenset({"mei-timestamped", "mpa-48", "msx-e3317", "registers"})
+"""Words of the interface that this version does not have yet."""
+
+_Directory = Annotated[
+    PathText, Meta(description="Relative to the configuration; default recordings")
+]
+_SegmentDuration = Annotated[Duration, Meta(description="Default 1h, at least 1s")]
+_SegmentSize = Annotated[Size, Meta(description="Default 64 MiB, at least 64 KiB")]
+_KeepAge = Annotated[Duration, Meta(description="For example 90d")]
+_KeepSize = Annotated[Size, Meta(description="For example 20 GiB")]
+
+
+class Segment(Struct, kw_only=True, forbid_unknown_fields=True):
+    """A segment ends at the first limit it reaches."""
+
+    duration: _SegmentDuration | UnsetType = UNSET
+    size: _SegmentSize | UnsetType = UNSET
+
+
+class Keep(Struct, kw_only=True, forbid_unknown_fields=True):
+    """Sealed segments beyond these limits are deleted, oldest first; default: none is."""
+
+    age: _KeepAge | UnsetType = UNSET
+    size: _KeepSize | UnsetType = UNSET
+
+
+class Recording(Struct, kw_only=True, forbid_unknown_fields=True):
+    """Where segments go and when one ends."""
+
+    directory: _Directory | UnsetType = UNSET
+    segment: Segment | UnsetType = UNSET
+    keep: Keep | UnsetType = UNSET
+
+
+_SerialPort = Annotated[PathText, Meta(description="Best one of /dev/serial/by-id")]
+_Baudrate = Annotated[
+    int,
+    Meta(
+        ge=1,
+        le=4_000_000,
+        title="a whole number from 1 to 4000000",
+        description="Default: as the devices are delivered",
+    ),
+]
+_Bytesize = Annotated[Literal[8], Meta(description="RTU needs all 8 data bits")]
+_Parity = Annotated[Literal["N", "E", "O"], Meta(description="None, even, odd")]
+_Stopbits = Annotated[Literal[1, 2], Meta(description="Default: as the devices are delivered")]
+_Timeout = Annotated[
+    Duration,
+    Meta(
+        description="For an answer to begin and end, from the end of the request; default: the "
+        "longest time that the devices may take, on TCP at least 1s"
+    ),
+]
+_LateAnswer = Annotated[
+    Duration,
+    Meta(
+        description="After a time-out nothing is sent until the late answer came or this has "
+        "passed since the request; default 2 x timeout"
+    ),
+]
+_Silence = Annotated[
+    Silence,
+    Meta(
+        description="Before every request, like 5 chars or 10ms; default: what the devices ask, "
+        "at least 3.5 characters"
+    ),
+]
+
+
+class Rtu(Struct, kw_only=True, forbid_unknown_fields=True, tag_field="transport", tag="rtu"):
+    """A serial line with Modbus RTU."""
+
+    port: _SerialPort | UnsetType
+    baudrate: _Baudrate | UnsetType = UNSET
+    bytesize: _Bytesize | UnsetType = UNSET
+    parity: _Parity | UnsetType = UNSET
+    stopbits: _Stopbits | UnsetType = UNSET
+    timeout: _Timeout | UnsetType = UNSET
+    late_answer: _LateAnswer | UnsetType = UNSET
+    silence: _Silence | UnsetType = UNSET
+
+
+_Host = Annotated[Host, Meta(description="Host name or IP address")]
+_TcpPort = Annotated[
+    int, Meta(ge=1, le=65535, title="a port from 1 to 65535", description="Default 502")
+]
+
+
+class Tcp(Struct, kw_only=True, forbid_unknown_fields=True, tag_field="transport", tag="tcp"):
+    """A Modbus TCP server."""
+
+    host: _Host | UnsetType
+    port: _TcpPort | UnsetType = UNSET
+    timeout: _Timeout | UnsetType = UNSET
+
+
+_Profile = Annotated[
+    str,
+    Meta(
+        title="the name of a profile in quotes",
+        description="Built-in register map; `roclog profiles` lists them",
+        extra_json_schema={"enum": sorted(PROFILES)},
+    ),
+]
+_ConnectionName = Annotated[
+    str,
+    Meta(
+        title="the name of a connection in quotes",
+        description="Name of one of the tables under connections",
+    ),
+]
+_Unit = Annotated[
+    int,
+    Meta(
+        ge=0,
+        le=255,
+        title="a unit: 1 to 247 on serial lines, 0 to 255 on TCP",
+        description="Default: as the device is delivered",
+    ),
+]
+_Poll = Annotated[Duration, Meta(description="From read to read; default 1s")]
+_WordOrder = Annotated[WordOrder, Meta(description="Of 32-bit values; default ABCD")]
+_Acknowledge = Annotated[
+    bool,
+    Meta(
+        title="true or false, without quotes",
+        description="false: never write, tell samples apart by change; default true",
+    ),
+]
+_Cycle = Annotated[
+    Duration, Meta(description="Time between samples; default: what the device says")
+]
+
+
+class DeviceTable(Struct, kw_only=True, forbid_unknown_fields=True):
+    """A device with a built-in register map."""
+
+    profile: _Profile | UnsetType
+    connection: _ConnectionName | UnsetType
+    unit: _Unit | UnsetType = UNSET
+    poll: _Poll | UnsetType = UNSET
+    word_order: _WordOrder | UnsetType = UNSET
+    acknowledge: _Acknowledge | UnsetType = UNSET
+    cycle: _Cycle | UnsetType = UNSET
+
+
+_ByName = Meta(extra_json_schema={"propertyNames": {"pattern": f"^{NAME}$"}, "minProperties": 1})
+
+
+class Configuration(Struct, kw_only=True, forbid_unknown_fields=True):
+    """A roclog configuration."""
+
+    recording: Recording | UnsetType = UNSET
+    connections: Annotated[dict[str, Rtu | Tcp], _ByName]
+    devices: Annotated[dict[str, DeviceTable], _ByName]
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of the configuration, draft 7, for editors."""
+    _, tables = json.schema_components(
+        [Configuration], schema_hook=leaf_schema, ref_template="#/definitions/{name}"
+    )
+    root = tables.pop("Configuration")
+    return {"$schema": "http://json-schema.org/draft-07/schema#", **root, "definitions": tables}

@@ -1,0 +1,17 @@
+"""The built-in register maps, by profile name."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+from roclog.devices import hiac_roc
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from roclog.register_map import RegisterMap
+
+PROFILES: Final[Mapping[str, RegisterMap]] = MappingProxyType(
+    {register_map.name: register_map for register_map in (hiac_roc.REGISTER_MAP,)}
+)

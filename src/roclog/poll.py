@@ -1,0 +1,237 @@
+"""One device with a new-data flag: read, judge, decode, write, commit, clear."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Final
+
+from roclog.bus.bus import TooLate
+from roclog.cadence import Cadence, Missed
+from roclog.clock import Instant
+from roclog.errors import DeviceError, ExceptionAnswer, LinkDown
+from roclog.handshake import Memory, Note, Seen, Verdict, after_clear, judge
+from roclog.modbus.request import ReadRegisters, WriteRegister, words
+from roclog.samples import Reading, SampleMaker
+from roclog.schema import ClearResult, Reason
+
+if TYPE_CHECKING:
+    from roclog.bus.bus import Bus
+    from roclog.bus.tally import Tally
+    from roclog.clock import Clock
+    from roclog.outbox import Outbox
+    from roclog.register_map import Block, FlagAndClear, WordOrder
+
+_SETTLE_MAX: Final = 250_000_000
+"""Nanoseconds between the two reads that confirm a sample: an eighth of the cycle, at most this.
+Longer than a device takes to update its block, short against its cycle."""
+_REFUSED_PAUSE: Final = 60 * 10**9
+"""Nanoseconds before a refused clear is tried again."""
+
+
+class FlaggedBlock:
+    """The straight path of one block. ``turn`` is called at every poll.
+
+    acknowledge: whether the flag may be cleared; False leaves it to somebody else.
+    """
+
+    def __init__(
+        self,
+        *,
+        unit: int,
+        bus: Bus,
+        tally: Tally,
+        maker: SampleMaker,
+        memory: Memory,
+        order: WordOrder,
+        outbox: Outbox,
+        clock: Clock,
+        acknowledge: bool,
+    ) -> None:
+        block = maker.block
+        if block.trigger is None:
+            raise ValueError(f"block {block.name} has no flag")
+        self.block: Block = block
+        self.cadence = Cadence(None)
+        self.last: Reading | None = None
+        self.powered_up = False
+        self._trigger: FlagAndClear = block.trigger
+        self._request = ReadRegisters(block.table.read_function, block.address, block.count)
+        self._unit = unit
+        self._bus = bus
+        self._tally = tally
+        self._maker = maker
+        self._memory = memory
+        self._order = order
+        self._outbox = outbox
+        self._clock = clock
+        self._acknowledge = acknowledge
+        self._quiet_at = 0
+        self._clear_after = 0
+        self._refused = False
+        self._uncertain = False
+        self._overdue_told = False
+        self._odd_flag_told = False
+
+    async def turn(self) -> None:
+        """One poll, up to the clear.
+
+        Raises:
+            DeviceError: a read failed; what was learnt before is kept.
+        """
+        fresh = False
+        while True:
+            verdict = await self._look()
+            if verdict.again:
+                await asyncio.sleep(self._settle() / 1e9)
+                continue
+            if not verdict.clear or not await self._may_clear():
+                return
+            until = self.cadence.guarded_until()
+            guarded = until is not None and self._clock.now().monotonic < until
+            if guarded or fresh:
+                try:
+                    await self._clear(until if guarded else None)
+                    return
+                except TooLate:
+                    pass
+            fresh = True  # the guard does not hold: read once more right before the clear
+
+    def close(self) -> None:
+        """Leave nothing unsaid at the end of a run."""
+        now = self._clock.now()
+        self._tell_missed(self.cadence.close(), now)
+        candidate = self._memory.candidate
+        if candidate is not None:
+            raw = self._reading(candidate).raw.hex(" ")
+            self._event("warning", "unconfirmed", f"stopped before a second read of {raw}")
+
+    async def _look(self) -> Verdict:
+        answer = await self._bus.transact(self._unit, self._request, self._tally)
+        reading = Reading(words(answer.pdu), answer.asked, answer.read, self._quiet_at)
+        self._memory, verdict = judge(self._memory, self._seen(reading))
+        self._record(reading, verdict)
+        self.last = reading
+        if not verdict.again:
+            self._quiet_at = reading.read.utc
+        await self._outbox.flush()
+        return verdict
+
+    def _seen(self, reading: Reading) -> Seen:
+        value = reading.words[self._trigger.flag]
+        if value not in (self._trigger.new, self._trigger.clear) and not self._odd_flag_told:
+            self._odd_flag_told = True
+            register = self.block.address + self._trigger.flag
+            self._event("warning", "flag", f"register {register} is {value}, which is undefined")
+        raw = reading.raw
+        payload = b"".join(raw[2 * a : 2 * (a + n)] for a, n in self._trigger.payload)
+        return Seen(value == self._trigger.new, payload, reading)
+
+    def _record(self, reading: Reading, verdict: Verdict) -> None:
+        for note, seen in verdict.notes:
+            self._tell_note(note, self._reading(seen), reading)
+        for news in verdict.news:
+            kept = self._reading(news.seen)
+            self._outbox.add(self._maker.sample(news, kept, self._memory))
+            if not news.redelivered:
+                missed = self.cadence.completed(kept.asked.monotonic, kept.read.monotonic)
+                self._tell_missed(missed, reading.read)
+                self._uncertain = False
+                self._overdue_told = False
+        if not verdict.again and self._memory.candidate is None:
+            self._tell_missed(self.cadence.quiet(reading.asked.monotonic), reading.read)
+            self._watch_for_overdue(reading)
+
+    def _watch_for_overdue(self, reading: Reading) -> None:
+        if self._overdue_told or not self.cadence.overdue(reading.asked.monotonic):
+            return
+        self._overdue_told = True
+        since = self.cadence.last_completed
+        if self._uncertain and since is not None:
+            missed = Missed(since, reading.read.monotonic, 1)
+            self._tell_missed(missed, reading.read, Reason.UNGUARDED_CLEAR)
+        self._event("warning", "overdue", "the device has completed no sample for 1.5 cycles")
+
+    async def _may_clear(self) -> bool:
+        if not self._acknowledge or not self._outbox.empty:
+            return False
+        return self._clock.now().monotonic >= self._clear_after
+
+    async def _clear(self, not_after: int | None) -> None:
+        request = WriteRegister(self.block.address + self._trigger.flag, self._trigger.clear)
+        asked = self._clock.now()
+        code = 0
+        try:
+            await self._bus.transact(self._unit, request, self._tally, not_after=not_after)
+            result = ClearResult.DONE
+        except TooLate:
+            raise
+        except ExceptionAnswer as refusal:
+            result, code = ClearResult.REFUSED, refusal.code
+            self._tell_refusal(refusal)
+        except LinkDown:
+            result = ClearResult.UNANSWERED
+        except DeviceError:
+            result = ClearResult.UNANSWERED
+        if result is ClearResult.DONE and self._refused:
+            self._refused = False
+            self._event("info", "clear", "the device takes the clear again")
+        self._memory = after_clear(self._memory, result)
+        self._uncertain = not_after is None or result is ClearResult.UNANSWERED
+        ended = self._clock.now().utc
+        guarded = not_after is not None
+        self._outbox.note(
+            self._maker.clear(self._memory, asked.utc, ended, result, code, guarded=guarded)
+        )
+
+    def _tell_refusal(self, refusal: ExceptionAnswer) -> None:
+        self._clear_after = self._clock.now().monotonic + _REFUSED_PAUSE
+        if not self._refused:
+            self._refused = True
+            self._event("warning", "clear", f"the device refuses the clear: {refusal}")
+
+    def _tell_note(self, note: Note, seen: Reading, reading: Reading) -> None:
+        raw = seen.raw.hex(" ")
+        match note:
+            case Note.BASELINE:
+                self._event("info", "baseline", f"first block, flag down, not a sample: {raw}")
+                self._outbox.checkpoint(self._maker.topic, self._maker.carry(self._memory))
+            case Note.POWER_UP:
+                self._tell_power_up(reading)
+            case Note.TORN:
+                self._event("warning", "torn", f"read in the middle of an update: {raw}")
+            case Note.REDELIVERED:
+                self._event("info", "redelivered", f"sample {self._memory.seq} is still flagged")
+
+    def _tell_power_up(self, reading: Reading) -> None:
+        """The block is zeros again. What was completed unseen before that is not known."""
+        self.powered_up = True
+        self._event("warning", "power-up", "the sample block is all zeros, the device restarted")
+        cycle = self.cadence.effective_cycle
+        if self.last is not None and cycle is not None:
+            blind = reading.read.monotonic - self.last.asked.monotonic
+            if blind > cycle:
+                missed = Missed(self.last.asked.monotonic, reading.read.monotonic, blind // cycle)
+                self._tell_missed(missed, reading.read)
+        self.cadence.forget()
+
+    def _tell_missed(
+        self, missed: Missed | None, now: Instant, reason: Reason = Reason.OVERWRITTEN
+    ) -> None:
+        if missed is None:
+            return
+        offset = now.utc - now.monotonic
+        after, before = missed.after + offset, missed.before + offset
+        self._outbox.add(self._maker.gap(after, before, missed.count, reason, now.utc))
+
+    def _settle(self) -> int:
+        cycle = self.cadence.effective_cycle
+        return _SETTLE_MAX if cycle is None else min(cycle // 8, _SETTLE_MAX)
+
+    def _event(self, level: str, kind: str, text: str) -> None:
+        self._outbox.event(level, kind, text)
+
+    @staticmethod
+    def _reading(seen: Seen) -> Reading:
+        if not isinstance(seen.reading, Reading):
+            raise TypeError("news without its reading")
+        return seen.reading

@@ -1,0 +1,1 @@
+"""Samples to MCAP and back. Nothing outside this package knows the MCAP library."""

@@ -1,0 +1,180 @@
+"""A recording directory: its lock, its segments by number, and the small state file.
+
+Segment numbers only grow over the life of the directory. They are read from the files, not from
+their names, so that renamed or copied files do not confuse a restart.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import uuid
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from mcap.records import Channel, Message, Metadata
+
+from roclog.errors import DamagedFile, StorageError
+from roclog.recording.entries import intact, protected
+from roclog.recording.scan import Scan
+from roclog.recording.seal import SEGMENT_METADATA
+from roclog.recording.segment import sync_directory
+from roclog.schema import CLEAR, ClearResult, Origin, read_signature
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+Carry = dict[str, dict[str, Any]]
+"""Topic to what the next run must know of it: epoch, seq, payload (hex or null), cleared."""
+
+
+@dataclass
+class Inheritance:
+    """What earlier runs leave to this one.
+
+    logger: identity of the directory's life. number: of the newest segment. alive_until: latest
+    log_time found, 0 = nothing was ever recorded.
+    """
+
+    logger: str
+    number: int = 0
+    carry: Carry = field(default_factory=dict)
+    alive_until: int = 0
+
+
+class Directory:
+    """Exclusive use of a recording directory."""
+
+    def __init__(self, root: Path) -> None:
+        """Raises StorageError: it cannot be made or written, or another process records there."""
+        self.root = root
+        self.hot = root / "hot"
+        try:
+            self.hot.mkdir(parents=True, exist_ok=True)
+            self._lock = os.open(root / ".lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o640)
+        except OSError as error:
+            raise StorageError(root, error.strerror or str(error)) from error
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(self._lock)
+            raise StorageError(root, "another roclog is recording into this directory") from error
+
+    def release(self) -> None:
+        os.close(self._lock)
+
+    def hot_segments(self) -> list[Path]:
+        return sorted(self.hot.glob("*.mcap"))
+
+    def sealed_segments(self) -> list[Path]:
+        """In order of their names, which is the order of their opening dates."""
+        return sorted(self.root.glob("[0-9]*/[0-9]*/[0-9]*/*.mcap"))
+
+    def inherit(self) -> Inheritance:
+        """Newest state there is: the state file, or the newest segment's head and its messages."""
+        state = self._read_state_file()
+        heads = [(head, path) for path in self._all() if (head := _head(path)) is not None]
+        newest = max(heads, key=lambda pair: int(pair[0]["number"]), default=None)
+        if newest is None:
+            return state or Inheritance(uuid.uuid4().hex)
+        number = int(newest[0]["number"])
+        found = Inheritance(newest[0]["logger"], number)
+        _apply(newest[1], found)
+        if state is not None and state.number >= number:
+            found.number, found.logger = state.number, state.logger
+            found.carry = {**state.carry, **_newer(found.carry, state.carry)}
+            found.alive_until = max(found.alive_until, state.alive_until)
+        return found
+
+    def write_state_file(self, inheritance: Inheritance) -> None:
+        """Replace the state file atomically. Raises OSError."""
+        values = {
+            "logger": inheritance.logger,
+            "number": str(inheritance.number),
+            "carry": json.dumps(inheritance.carry),
+            "alive_until": str(inheritance.alive_until),
+        }
+        temporary = self.root / f".state-{os.getpid()}"
+        with temporary.open("w") as file:
+            json.dump(protected(values), file)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(self.root / "state.json")
+        sync_directory(self.root)
+
+    def _read_state_file(self) -> Inheritance | None:
+        try:
+            values = json.loads((self.root / "state.json").read_text())
+            if not isinstance(values, dict) or not intact(values):
+                return None
+            carry = json.loads(values["carry"])
+            return Inheritance(
+                values["logger"], int(values["number"]), carry, int(values["alive_until"])
+            )
+        except (OSError, ValueError, KeyError):
+            return None
+
+    def _all(self) -> Iterator[Path]:
+        yield from self.hot_segments()
+        yield from self.sealed_segments()
+
+
+def _newer(found: Carry, state: Carry) -> Carry:
+    """Topics of ``found`` that are at least as far as the state file says."""
+    return {
+        topic: carry
+        for topic, carry in found.items()
+        if topic not in state or carry["seq"] > state[topic]["seq"]
+    }
+
+
+def _head(path: Path) -> Mapping[str, str] | None:
+    """Segment metadata of a file of ours; None for foreign and unreadable ones."""
+    try:
+        for found in Scan(path):
+            record = found.record
+            if isinstance(record, Metadata) and record.name == SEGMENT_METADATA:
+                return record.metadata if intact(record.metadata) else None
+            if isinstance(record, Message):
+                return None
+    except (DamagedFile, OSError):
+        return None
+    return None
+
+
+def _apply(path: Path, state: Inheritance) -> None:
+    """Opening state of a segment, then its messages on top."""
+    channels: dict[int, Channel] = {}
+    for found in Scan(path):
+        match found.record:
+            case Metadata(name="roclog.state", metadata=values) if intact(values):
+                state.carry = json.loads(values["state"])
+            case Channel() as channel:
+                channels[channel.id] = channel
+            case Message() as message:
+                state.alive_until = max(state.alive_until, message.log_time)
+                _apply_message(channels[message.channel_id], message.data, state.carry)
+
+
+def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:
+    cleared = channel.metadata.get("clears")
+    if cleared is not None:
+        clear = CLEAR.unpack(data)
+        entry = carry.get(cleared)
+        if clear is not None and entry is not None and clear["result"] == ClearResult.DONE:
+            entry["cleared"] = entry["cleared"] or clear["seq"] == entry["seq"]
+        return
+    payload_words = channel.metadata.get("payload")
+    sample = read_signature(data) if payload_words is not None else None
+    if sample is None or payload_words is None:
+        return
+    raw = sample["raw"]
+    ranges = json.loads(payload_words)
+    carry[channel.topic] = {
+        "epoch": sample["epoch"].hex(),
+        "seq": sample["seq"],
+        "payload": b"".join(raw[2 * a : 2 * (a + n)] for a, n in ranges).hex(),
+        "cleared": sample["origin"] != Origin.FLAG,
+    }

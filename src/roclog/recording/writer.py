@@ -1,0 +1,215 @@
+"""The one writer: group commit, rotation, and what to do when the disk says no.
+
+Whatever waits when the writer is free shares one chunk and one fsync. A segment on which a write or
+an fsync failed is never touched again; what was not yet known to be on disk is written to a new
+one. If that fails too, the commit fails, so nothing is cleared, and the next commit tries again.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import queue
+import threading
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from roclog.errors import StorageError
+from roclog.recording.sealer import Sealer
+from roclog.recording.segment import HotSegment
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from roclog.clock import Clock
+    from roclog.recording.directory import Directory, Inheritance
+    from roclog.recording.entries import ChannelInfo, Entry
+
+_log = logging.getLogger(__name__)
+_STEP: Final = 10**9
+"""Nanoseconds by which the wall clock may fall behind log_time before a new segment is begun."""
+STATE_METADATA: Final = "roclog.state"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a segment is full: age in nanoseconds of monotonic time, size in octets."""
+
+    duration: int
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    entries: tuple[Entry, ...]
+    durable: bool
+    done: Future[None]
+    metadata: tuple[str, Mapping[str, str]] | None = None
+
+
+class Writer:
+    """Owns the thread that writes. Thread-safe; create, use, ``close``.
+
+    segment_facts: the ``roclog.segment`` metadata of a new segment, given its number.
+    """
+
+    def __init__(
+        self,
+        directory: Directory,
+        inheritance: Inheritance,
+        channels: Sequence[ChannelInfo],
+        limits: Limits,
+        clock: Clock,
+        segment_facts: Callable[[int], dict[str, str]],
+        sealer: Sealer,
+    ) -> None:
+        """Opens the first segment. Raises StorageError."""
+        self._directory = directory
+        self._inheritance = inheritance
+        self._channels = channels
+        self._limits = limits
+        self._clock = clock
+        self._segment_facts = segment_facts
+        self._sealer = sealer
+        self._metadata: dict[str, Mapping[str, str]] = {}
+        self._unsynced: list[Entry] = []
+        self._segment: HotSegment | None = None
+        self._opened_at = 0
+        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        try:
+            self._segment = self._open_next()
+        except OSError as error:
+            raise self._storage_error(error) from error
+        self._thread = threading.Thread(target=self._run, name="roclog-writer")
+        self._thread.start()
+
+    def commit(self, entries: Sequence[Entry]) -> Future[None]:
+        """Done when all entries are on disk; fails with StorageError when they cannot be."""
+        return self._submit(_Job(tuple(entries), durable=True, done=Future()))
+
+    def note(self, entries: Sequence[Entry]) -> Future[None]:
+        """As commit, but the disk may have it later: at the next commit, rotation or close."""
+        return self._submit(_Job(tuple(entries), durable=False, done=Future()))
+
+    def describe(self, name: str, values: Mapping[str, str]) -> Future[None]:
+        """Put a metadata record into this segment and into every later one."""
+        return self._submit(_Job((), durable=False, done=Future(), metadata=(name, values)))
+
+    def close(self) -> None:
+        """Write what waits, close and seal the segment, leave the state file. Idempotent."""
+        if self._thread.is_alive():
+            self._jobs.put(None)
+            self._thread.join()
+
+    def _submit(self, job: _Job) -> Future[None]:
+        self._jobs.put(job)
+        return job.done
+
+    def _run(self) -> None:
+        open_for_jobs = True
+        while open_for_jobs:
+            jobs = [self._jobs.get()]
+            while not self._jobs.empty():
+                jobs.append(self._jobs.get())
+            open_for_jobs = None not in jobs
+            self._serve([job for job in jobs if job is not None])
+        self._finish()
+
+    def _serve(self, jobs: list[_Job]) -> None:
+        if not jobs:
+            return
+        try:
+            self._write(jobs)
+        except OSError as first:
+            _log.error("recording: %s; trying a new segment", first)
+            try:
+                self._abandon()
+                self._write(jobs)
+            except OSError as error:
+                self._abandon()
+                failure = self._storage_error(error)
+                for job in jobs:
+                    job.done.set_exception(failure)
+                return
+        for job in jobs:
+            job.done.set_result(None)
+
+    def _write(self, jobs: list[_Job]) -> None:
+        for job in jobs:
+            if job.metadata is not None:
+                self._metadata[job.metadata[0]] = job.metadata[1]
+        entries = [entry for job in jobs for entry in job.entries]
+        segment = self._segment_for_next()
+        for job in jobs:
+            if job.metadata is not None:
+                segment.append_metadata(*job.metadata)
+        if not entries:
+            return
+        durable = any(job.durable for job in jobs)
+        segment.append(entries, sync=durable)
+        for entry in entries:
+            if entry.carry is not None:
+                self._inheritance.carry[entry.topic] = dict(entry.carry)
+        self._inheritance.alive_until = max(self._inheritance.alive_until, segment.last_log_time)
+        self._unsynced = [] if durable else self._unsynced + entries
+
+    def _segment_for_next(self) -> HotSegment:
+        segment = self._segment
+        if segment is None:
+            self._segment = segment = self._open_next()
+            if self._unsynced:
+                segment.append(self._unsynced, sync=False)
+        age = self._clock.now().monotonic - self._opened_at
+        stepped_back = self._clock.now().utc < segment.last_log_time - _STEP
+        if age >= self._limits.duration or segment.size >= self._limits.size or stepped_back:
+            segment = self._rotate(segment)
+        return segment
+
+    def _rotate(self, full: HotSegment) -> HotSegment:
+        """The next segment is open before the full one is given up."""
+        full.sync()
+        self._unsynced = []
+        self._segment = self._open_next()
+        full.close()
+        self._sealer.seal(full.path)
+        return self._segment
+
+    def _open_next(self) -> HotSegment:
+        self._inheritance.number += 1
+        number = self._inheritance.number
+        facts = self._segment_facts(number)
+        metadata = {
+            "roclog.segment": facts,
+            STATE_METADATA: {"state": json.dumps(self._inheritance.carry)},
+            **self._metadata,
+        }
+        path = self._directory.hot / f"{number:08d}.mcap"
+        segment = HotSegment(path, f"roclog {facts['version']}", self._channels, metadata)
+        self._opened_at = self._clock.now().monotonic
+        self._directory.write_state_file(self._inheritance)
+        return segment
+
+    def _abandon(self) -> None:
+        segment, self._segment = self._segment, None
+        if segment is not None:
+            try:
+                segment.close()
+            except OSError as error:
+                _log.warning("closing %s: %s", segment.path, error)
+            self._sealer.seal(segment.path)
+
+    def _finish(self) -> None:
+        segment, self._segment = self._segment, None
+        if segment is None:
+            return
+        try:
+            segment.sync()
+            segment.close()
+            self._directory.write_state_file(self._inheritance)
+        except OSError as error:
+            _log.error("recording: closing %s: %s", segment.path, error)
+        self._sealer.seal(segment.path)
+
+    def _storage_error(self, error: OSError) -> StorageError:
+        return StorageError(self._directory.root, error.strerror or str(error))

@@ -1,0 +1,127 @@
+"""From a judged reading to the messages that are recorded. Pure."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from roclog.decode import Decoded, decode
+from roclog.recording.entries import Entry
+from roclog.schema import CLEAR, GAP, LINK, ClearResult, Reason, sample_type
+
+if TYPE_CHECKING:
+    from roclog.bus.tally import Tally
+    from roclog.clock import Instant
+    from roclog.handshake import Memory, News
+    from roclog.register_map import Block, WordOrder
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One block as it was read.
+
+    previous: UTC ns of the end of the latest read that showed no newer state, 0 = none yet.
+    """
+
+    words: tuple[int, ...]
+    asked: Instant
+    read: Instant
+    previous: int
+
+    @property
+    def raw(self) -> bytes:
+        return struct.pack(f">{len(self.words)}H", *self.words)
+
+
+class SampleMaker:
+    """Makes the messages of one block; holds only what never changes in a run."""
+
+    def __init__(
+        self, device: str, profile: str, block: Block, order: WordOrder, epoch: bytes
+    ) -> None:
+        self.block = block
+        self.epoch = epoch
+        self.topic = f"/{device}/{block.name}"
+        self.kind = sample_type(profile, block)
+        self._device = device
+        self._order = order
+
+    def decode(self, reading: Reading) -> Decoded:
+        return decode(self.block, reading.words, self._order)
+
+    def sample(self, news: News, reading: Reading, memory: Memory) -> Entry:
+        """The message of a sample. ``memory`` is what holds once it is on disk."""
+        decoded = self.decode(reading)
+        values = (
+            news.seq,
+            self.epoch,
+            news.origin,
+            news.redelivered,
+            reading.asked.utc,
+            reading.read.utc,
+            reading.read.monotonic,
+            reading.previous,
+            decoded.device_time,
+            decoded.time_flags,
+            decoded.doubtful,
+            reading.raw,
+            *decoded.values,
+        )
+        return Entry(
+            topic=self.topic,
+            log_time=reading.read.utc,
+            publish_time=decoded.device_time or reading.read.utc,
+            sequence=news.seq,
+            data=self.kind.pack(iter(values)),
+            carry=self.carry(memory),
+        )
+
+    def carry(self, memory: Memory) -> dict[str, object]:
+        """What the next run inherits."""
+        return {
+            "epoch": self.epoch.hex(),
+            "seq": memory.seq,
+            "payload": None if memory.payload is None else memory.payload.hex(),
+            "cleared": memory.cleared,
+        }
+
+    def gap(self, after: int, before: int, expected: int, reason: Reason, now: int) -> Entry:
+        """``after`` and ``before`` in ns UTC."""
+        data = GAP.pack(iter((after, before, expected, reason)))
+        return Entry(f"/{self._device}/gap", now, now, 0, data)
+
+    def clear(
+        self, memory: Memory, asked: int, ended: int, result: ClearResult, code: int, *, guarded: bool
+    ) -> Entry:
+        """``asked`` and ``ended`` in ns UTC; ``memory`` as it is after the clear."""
+        values = (memory.seq, self.epoch, asked, ended, result, code, guarded)
+        data = CLEAR.pack(iter(values))
+        topic = f"/{self._device}/clear"
+        return Entry(topic, ended, ended, memory.seq & 0xFFFFFFFF, data)
+
+
+def link_entry(device: str, since: Instant, now: Instant, tally: Tally) -> Entry:
+    """Counts between two instants; the bus load is the part of the time the line was taken."""
+    elapsed = max(1, now.monotonic - since.monotonic)
+    mean = tally.round_trip_sum / tally.answers / 1e9 if tally.answers else float("nan")
+    known = [field.name for field in LINK.fields if field.name.startswith("exception_")][:-1]
+    by_code = [tally.exceptions.get(int(name.rpartition("_")[2]), 0) for name in known]
+    values = (
+        since.utc,
+        now.utc,
+        tally.requests,
+        tally.answers,
+        tally.timeouts,
+        tally.late_answers,
+        tally.crc_errors,
+        tally.wrong_answers,
+        tally.discarded_octets,
+        tally.link_losses,
+        mean,
+        tally.round_trip_max / 1e9,
+        tally.busy / elapsed,
+        *by_code,
+        sum(tally.exceptions.values()) - sum(by_code),
+    )
+    return Entry(f"/{device}/link", now.utc, now.utc, 0, LINK.pack(iter(values)))

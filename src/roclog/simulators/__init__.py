@@ -1,0 +1,7 @@
+"""Simulated devices for trying configurations and for learning; the logger never imports them."""
+
+from roclog.simulators.endpoints import PtyEndpoint, TcpEndpoint
+from roclog.simulators.hiac_roc import SimulatedRoc
+from roclog.simulators.server import SimulatedDevice, SimulatorServer
+
+__all__ = ["PtyEndpoint", "SimulatedDevice", "SimulatedRoc", "SimulatorServer", "TcpEndpoint"]

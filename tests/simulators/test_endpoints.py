@@ -1,0 +1,302 @@
+"""Devices on the wire, asked with octets: no codec of roclog's, no client of pymodbus's."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
+
+import pytest
+
+from roclog.simulators import PtyEndpoint, SimulatedRoc, SimulatorServer, TcpEndpoint
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Awaitable, Callable
+    from pathlib import Path
+
+    ReadOctets = Callable[[int, int], Awaitable[bytes]]
+    Until = Callable[[Callable[[], bool]], Awaitable[None]]
+
+READ_BLOCK = bytes.fromhex("8A 03 01 2C 00 1B DB 4F")
+CLEAR_FLAG = bytes.fromhex("8A 06 01 2C 00 00 57 44")
+READ_IDENTITY = bytes.fromhex("8A 03 00 00 00 30 5B 65")
+
+
+def crc(octets: bytes) -> bytes:
+    """CRC of the serial line guide, bit by bit; low octet first."""
+    remainder = 0xFFFF
+    for octet in octets:
+        remainder ^= octet
+        for _ in range(8):
+            remainder = remainder >> 1 ^ (0xA001 if remainder & 1 else 0)
+    return remainder.to_bytes(2, "little")
+
+
+def frame(text: str) -> bytes:
+    octets = bytes.fromhex(text)
+    return octets + crc(octets)
+
+
+class Broken:
+    """Fails at each request."""
+
+    unit = 9
+
+    def step(self, seconds: float) -> None:
+        pass
+
+    def answer(self, pdu: bytes) -> bytes | None:
+        raise ZeroDivisionError
+
+
+class Line:
+    """A client on a pseudo-terminal."""
+
+    def __init__(self, link: Path, read: ReadOctets) -> None:
+        self._descriptor = os.open(link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self._read = read
+
+    def send(self, octets: bytes) -> None:
+        os.write(self._descriptor, octets)
+
+    async def ask(self, octets: bytes, size: int) -> bytes:
+        self.send(octets)
+        return await self._read(self._descriptor, size)
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+
+@asynccontextmanager
+async def pty(link: Path, read: ReadOctets, *devices: SimulatedRoc | Broken) -> AsyncIterator[Line]:
+    async with SimulatorServer(devices, PtyEndpoint(link)):
+        line = Line(link, read)
+        try:
+            yield line
+        finally:
+            line.close()
+
+
+@asynccontextmanager
+async def tcp(
+    *devices: SimulatedRoc | Broken,
+) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    endpoint = TcpEndpoint("127.0.0.1", 0)
+    async with asyncio.timeout(5), SimulatorServer(devices, endpoint):
+        reader, writer = await asyncio.open_connection("127.0.0.1", endpoint.port)
+        try:
+            yield reader, writer
+        finally:
+            writer.close()
+            await writer.wait_closed()
+
+
+def test_crc_of_the_test_agrees_with_published_frames() -> None:
+    assert frame("CC 04 00 00 00 7D").endswith(bytes.fromhex("20 36"))
+    assert frame("8A 03 01 2C 00 1B") == READ_BLOCK
+
+
+def test_rtu_identity(tmp_path: Path, read_octets: ReadOctets) -> None:
+    async def main() -> None:
+        async with pty(tmp_path / "roc", read_octets, SimulatedRoc(seed=7)) as line:
+            answer = await line.ask(READ_IDENTITY, 101)
+            assert answer[:7] == bytes.fromhex("8A 03 60 48 49 41 43")
+            assert answer[33:36] == b"ROC"
+            assert answer[53:71] == b"000007-138HIAC ROC"
+            assert answer[85:99] == b"2089263-1 RevC"
+            assert answer[99:] == crc(answer[:99])
+
+    asyncio.run(main())
+
+
+def test_rtu_sample_and_clear(tmp_path: Path, read_octets: ReadOctets) -> None:
+    async def main() -> None:
+        roc = SimulatedRoc(seed=7)
+        roc.step(10)
+        async with pty(tmp_path / "roc", read_octets, roc) as line:
+            block = await line.ask(READ_BLOCK, 59)
+            assert block[:5] == bytes.fromhex("8A 03 36 00 01")
+            assert block[57:] == crc(block[:57])
+            assert await line.ask(CLEAR_FLAG, 8) == CLEAR_FLAG
+            again = await line.ask(READ_BLOCK, 59)
+            assert again[:5] == bytes.fromhex("8A 03 36 00 00")
+            assert again[5:57] == block[5:57]
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    ("request_adu", "answer"),
+    [
+        ("8A 04 01 2C 00 1B", "8A 84 01"),
+        ("8A 03 01 2C 00 1C", "8A 83 02"),
+        ("8A 06 01 2C 00 01", "8A 86 03"),
+        ("8A 10 00 69 00 02 04 00 14 00 02", "8A 10 00 69 00 02"),
+        ("8A 2B 0E 01 00", "8A AB 01"),
+        ("8A 2B 84 00 08 00 02", "8A AB 01"),
+        ("8A 6E 01 02 03 04 05 06 07 08 09", "8A EE 01"),
+        ("8A 11", "8A 91 01"),
+        ("09 03 00 00 00 01", "09 83 04"),
+    ],
+)
+def test_rtu_answers(
+    tmp_path: Path, read_octets: ReadOctets, request_adu: str, answer: str
+) -> None:
+    async def main() -> None:
+        async with pty(tmp_path / "roc", read_octets, SimulatedRoc(seed=7), Broken()) as line:
+            expected = frame(answer)
+            assert await line.ask(frame(request_adu), len(expected)) == expected
+
+    asyncio.run(main())
+
+
+def test_rtu_request_that_arrives_octet_by_octet(tmp_path: Path, read_octets: ReadOctets) -> None:
+    async def main() -> None:
+        async with pty(tmp_path / "roc", read_octets, SimulatedRoc(seed=7)) as line:
+            for octet in CLEAR_FLAG[:-1]:
+                line.send(bytes((octet,)))
+                for _ in range(5):
+                    await asyncio.sleep(0)
+            assert await line.ask(CLEAR_FLAG[-1:], 8) == CLEAR_FLAG
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    "unheard",
+    [
+        frame("05 03 01 2C 00 1B"),
+        frame("00 06 01 2C 00 00"),
+        READ_BLOCK[:-1] + b"\x4e",
+        READ_BLOCK[:5],
+        b"\x00\xff\x8a",
+    ],
+    ids=["absent unit", "unit 0", "bad CRC", "torn", "noise"],
+)
+def test_rtu_silence_then_the_next_request_is_answered(
+    tmp_path: Path, read_octets: ReadOctets, unheard: bytes
+) -> None:
+    async def main() -> None:
+        async with pty(tmp_path / "roc", read_octets, SimulatedRoc(seed=7)) as line:
+            line.send(unheard)
+            assert await line.ask(CLEAR_FLAG, 8) == CLEAR_FLAG
+
+    asyncio.run(main())
+
+
+def test_rtu_reset_is_silent_and_the_saved_node_id_answers(
+    tmp_path: Path, read_octets: ReadOctets, until: Until
+) -> None:
+    async def main() -> None:
+        roc = SimulatedRoc(seed=7)
+        async with pty(tmp_path / "roc", read_octets, roc) as line:
+            node_id, save = frame("8A 06 00 64 00 07"), frame("8A 06 04 4E 00 5A")
+            assert await line.ask(node_id, 8) == node_id
+            assert await line.ask(save, 8) == save
+            line.send(frame("8A 06 04 4D 00 55"))
+            await until(lambda: roc.unit == 7)
+            clear = frame("07 06 01 2C 00 00")
+            assert await line.ask(clear, 8) == clear
+
+    asyncio.run(main())
+
+
+def test_several_units_on_one_line(tmp_path: Path, read_octets: ReadOctets) -> None:
+    async def main() -> None:
+        rocs = [SimulatedRoc(unit, seed=7) for unit in (1, 138, 247)]
+        async with pty(tmp_path / "roc", read_octets, *rocs) as line:
+            for unit in ("01", "8A", "F7"):
+                expected = frame(f"{unit} 03 02 00 {unit}")
+                assert await line.ask(frame(f"{unit} 03 00 64 00 01"), 7) == expected
+
+    asyncio.run(main())
+
+
+def test_line_can_be_taken_down_and_up_again(tmp_path: Path, read_octets: ReadOctets) -> None:
+    async def main() -> None:
+        link, roc = tmp_path / "roc", SimulatedRoc(seed=7)
+        server = SimulatorServer([roc], PtyEndpoint(link))
+        for _ in range(2):
+            await server.start()
+            line = Line(link, read_octets)
+            assert await line.ask(CLEAR_FLAG, 8) == CLEAR_FLAG
+            line.close()
+            await server.stop()
+            assert not link.is_symlink()
+
+    asyncio.run(main())
+
+
+def test_tcp_answers() -> None:
+    async def main() -> None:
+        async with tcp(SimulatedRoc(seed=7), Broken()) as (reader, writer):
+            for request, answer in (
+                ("00 01 00 00 00 06 8A 03 00 64 00 01", "00 01 00 00 00 05 8A 03 02 00 8A"),
+                ("FF FE 00 00 00 06 8A 06 01 2C 00 00", "FF FE 00 00 00 06 8A 06 01 2C 00 00"),
+                ("00 03 00 00 00 06 8A 04 01 2C 00 1B", "00 03 00 00 00 03 8A 84 01"),
+                ("00 04 00 00 00 08 8A 2B 84 00 08 00 02 00", "00 04 00 00 00 03 8A AB 01"),
+                ("00 05 00 00 00 06 05 03 01 2C 00 1B", "00 05 00 00 00 03 05 83 0B"),
+                ("00 06 00 00 00 06 09 03 01 2C 00 1B", "00 06 00 00 00 03 09 83 04"),
+            ):
+                expected = bytes.fromhex(answer)
+                writer.write(bytes.fromhex(request))
+                assert await reader.readexactly(len(expected)) == expected
+
+    asyncio.run(main())
+
+
+def test_tcp_reset_is_silent(until: Until) -> None:
+    async def main() -> None:
+        roc = SimulatedRoc(seed=7)
+        roc.step(10)
+        ask_flag = bytes.fromhex("03 01 2C 00 01")
+        async with tcp(roc) as (reader, writer):
+            writer.write(bytes.fromhex("00 01 00 00 00 06 8A 06 04 4D 00 55"))
+            await until(lambda: roc.answer(ask_flag) == bytes.fromhex("03 02 00 00"))
+            writer.write(bytes.fromhex("00 02 00 00 00 06 8A 03 00 64 00 01"))
+            assert await reader.readexactly(11) == bytes.fromhex("00 02 00 00 00 05 8A 03 02 00 8A")
+
+    asyncio.run(main())
+
+
+def test_device_that_fails_at_a_request_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+    async def main() -> None:
+        async with tcp(Broken()) as (reader, writer):
+            writer.write(bytes.fromhex("00 01 00 00 00 06 09 03 01 2C 00 1B"))
+            await reader.readexactly(9)
+
+    with caplog.at_level(logging.ERROR):
+        asyncio.run(main())
+    assert [record.name for record in caplog.records] == ["roclog.simulators.endpoints"]
+    assert "simulated unit 9 failed at 03 01 2c 00 1b" in caplog.text
+
+
+def test_tcp_port_in_use() -> None:
+    async def main() -> None:
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            port = taken.getsockname()[1]
+            server = SimulatorServer([SimulatedRoc(seed=7)], TcpEndpoint("127.0.0.1", port))
+            with pytest.raises(OSError, match=f"cannot listen on 127.0.0.1:{port}"):
+                await server.start()
+            await server.stop()
+
+    asyncio.run(main())
+
+
+def test_two_rocs_one_on_a_pty_and_one_on_tcp(tmp_path: Path, read_octets: ReadOctets) -> None:
+    async def main() -> None:
+        one, two = SimulatedRoc(seed=7), SimulatedRoc(seed=8)
+        async with (
+            pty(tmp_path / "roc", read_octets, one) as line,
+            tcp(two) as (reader, writer),
+        ):
+            writer.write(bytes.fromhex("00 01 00 00 00 06 8A 03 00 19 00 05"))
+            assert await line.ask(frame("8A 03 00 19 00 05"), 15) == frame(
+                "8A 03 0A" + b"000007-138".hex()
+            )
+            assert (await reader.readexactly(19))[9:] == b"000008-138"
+
+    asyncio.run(main())
