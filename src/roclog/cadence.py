@@ -55,56 +55,59 @@ class Cadence:
         self._reported = 0
 
     def quiet(self, asked_at: int) -> Missed | None:
-        """A read that showed no news was asked for at ``asked_at``; returns as ``completed`` does."""
+        """A read that showed no news was asked for at ``asked_at``. Returns as ``completed``."""
         self._blind_from = asked_at
         cycle = self.effective_cycle
         if not self._guesses or cycle is None:
             return None
         floor = asked_at - cycle * (1 + TOLERANCE)
-        self._guesses = [
+        alive = [
             _Guess(max(guess.low, floor), guess.high, guess.missed)
             for guess in self._guesses
             if guess.high >= floor
         ]
-        return self._settle(min(g.missed for g in self._guesses)) if self._guesses else None
+        if not alive:  # later than any regular device
+            missed = self.close()
+            self._lose_phase()
+            return missed
+        self._guesses = alive
+        return self._settle(min(guess.missed for guess in alive))
 
     def completed(self, asked_at: int, read_at: int) -> Missed | None:
-        """A read showed a new sample. Returns the samples that are now known to have been missed."""
+        """A read showed a new sample. Returns what is now known to have been missed."""
         since = self._blind_from
         self._blind_from = asked_at
         cycle = self.effective_cycle
         if cycle is None:
             return None
         if since is None:
-            since = asked_at - cycle
+            since = int(asked_at - cycle * (1 + TOLERANCE))
         self._note_spacing((since, read_at))
-        if not self._guesses:
-            self._restart(since, read_at, asked_at, cycle)
-            return None
-        if read_at - since > cycle * _COUNTABLE:
-            count = max(0, int((read_at - self._guesses[0].high) / cycle) - 1)
-            self._restart(since, read_at, asked_at, cycle)
-            return Missed(since, read_at, count) if count else None
-        if read_at - since > cycle * (1 - TOLERANCE):
+        if read_at - since >= cycle * (1 - TOLERANCE):
             self._spell = (self._spell[0] if self._spell else since, read_at)
-        guesses = self._step(since, asked_at, read_at, cycle)
-        if not guesses:
-            self._restart(since, read_at, asked_at, cycle)
-            return None
-        self._guesses = guesses
-        return self._settle(min(guess.missed for guess in guesses))
+        if read_at - since <= cycle * _COUNTABLE:
+            guesses = self._step(since, asked_at, read_at, cycle)
+            if guesses:
+                self._guesses = guesses
+                return self._settle(min(guess.missed for guess in guesses))
+        return self._restart(since, asked_at, read_at, cycle)
 
     def close(self) -> Missed | None:
         """What may have been missed and can no longer be ruled out."""
         return self._settle(max((guess.missed for guess in self._guesses), default=0))
 
-    def forget(self) -> None:
-        """The device restarted or was away: its phase is unknown."""
-        self._guesses = []
-        self._spell = None
-        self._reported = 0
+    def forget(self) -> Missed | None:
+        """The device restarted: its phase is unknown. Returns as ``close`` does."""
+        missed = self.close()
+        self._lose_phase()
         self._previous = None
         self._blind_from = None
+        return missed
+
+    @property
+    def last_completed(self) -> int | None:
+        """By this instant the last kept sample had completed."""
+        return None if self._previous is None else self._previous[1]
 
     @property
     def effective_cycle(self) -> int | None:
@@ -145,17 +148,28 @@ class Cadence:
                 self._shortest.append(max(0, low))
         self._previous = window
 
-    def _restart(self, since: int, read_at: int, asked_at: int, cycle: int) -> None:
-        low = max(since, asked_at - cycle * (1 + TOLERANCE))
-        self._guesses = [_Guess(low, read_at, 0)]
+    def _lose_phase(self) -> None:
+        self._guesses = []
         self._spell = None
         self._reported = 0
+
+    def _restart(self, since: int, asked_at: int, read_at: int, cycle: int) -> Missed | None:
+        """Begin anew with this window; all but the last of what surely fits into it is missed."""
+        longest = cycle * (1 + TOLERANCE)
+        blind = asked_at - since
+        fits = int(blind / (longest if blind <= cycle * _COUNTABLE else cycle)) - 1
+        undecided = max((guess.missed for guess in self._guesses), default=0) - self._reported
+        count = max(0, fits) + max(0, undecided)
+        after = self._spell[0] if self._spell else since
+        self._lose_phase()
+        self._guesses = [_Guess(max(since, asked_at - longest), read_at, 0)]
+        return Missed(after, read_at, count) if count else None
 
     def _step(self, since: int, asked_at: int, read_at: int, cycle: int) -> list[_Guess]:
         early, late = cycle * (1 - TOLERANCE), cycle * (1 + TOLERANCE)
         found: dict[int, _Guess] = {}
         for guess in self._guesses:
-            for n in range(1, int((read_at - guess.low) / early) + 2):
+            for n in range(1, int((read_at - since) / early) + 2):
                 low = max(guess.low + n * early, since, asked_at - late)
                 high = min(guess.high + n * late, read_at)
                 if low <= high:

@@ -125,22 +125,24 @@ def _first_look(memory: Memory, seen: Seen) -> tuple[Memory, Verdict]:
     restarted = memory.restarted
     owed = not memory.cleared and seen.flag and seen.payload == memory.payload
     memory = replace(memory, restarted=False, cleared=memory.cleared or not seen.flag)
-    if owed and restarted:
+    if owed and not restarted:
+        verdict = Verdict(clear=True)
+    elif owed:
         copy = News(seen, memory.seq, Origin.FLAG, redelivered=True)
-        return memory, Verdict(news=(copy,), clear=True, notes=((Note.REDELIVERED, seen),))
-    if owed:
-        return memory, Verdict(clear=True)
-    if seen.flag:
-        return replace(memory, candidate=seen), Verdict(again=True)
-    if memory.payload is None:
+        verdict = Verdict((copy,), clear=True, notes=((Note.REDELIVERED, seen),))
+    elif seen.flag:
+        memory, verdict = replace(memory, candidate=seen), Verdict(again=True)
+    elif memory.payload is None:
+        verdict = Verdict(notes=((Note.BASELINE, seen),))
         memory = replace(memory, payload=seen.payload)
-        return memory, Verdict(notes=((Note.BASELINE, seen),))
-    if seen.payload == memory.payload:
-        return replace(memory, dark=False), Verdict()
-    if not any(seen.payload):
-        notes = () if memory.dark else ((Note.POWER_UP, seen),)
-        return replace(memory, dark=True), Verdict(notes=notes)
-    return replace(memory, candidate=seen), Verdict(again=True)
+    elif seen.payload == memory.payload:
+        memory, verdict = replace(memory, dark=False), Verdict()
+    elif any(seen.payload):
+        memory, verdict = replace(memory, candidate=seen), Verdict(again=True)
+    else:
+        verdict = Verdict() if memory.dark else Verdict(notes=((Note.POWER_UP, seen),))
+        memory = replace(memory, dark=True)
+    return memory, verdict
 
 
 def _confirmed(memory: Memory, first: Seen, second: Seen) -> tuple[Memory, Verdict]:

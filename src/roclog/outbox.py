@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from roclog.errors import StorageError
@@ -37,7 +38,7 @@ class Outbox:
         self._recorder = recorder
         self._clock = clock
         self._waiting: list[Entry] = []
-        self._given_up = 0
+        self._given_up: list[Entry] = []
         self._failing = False
 
     @property
@@ -48,8 +49,14 @@ class Outbox:
     def add(self, entry: Entry) -> None:
         self._waiting.append(entry)
         if len(self._waiting) > _MOST:
-            del self._waiting[0]
-            self._given_up += 1
+            self._given_up.append(replace(self._waiting.pop(0), data=b"", carry=None))
+
+    def take_given_up(self) -> list[Entry]:
+        """Head of the messages that were read but could not be kept, once the disk is back."""
+        taken: list[Entry] = []
+        if not self._failing:
+            taken, self._given_up = self._given_up, []
+        return taken
 
     def note(self, entry: Entry) -> None:
         """Record without waiting for the disk."""
@@ -80,9 +87,7 @@ class Outbox:
         del self._waiting[: len(batch)]
         if self._failing:
             self._failing = False
-            lost = f", {self._given_up} messages were given up" if self._given_up else ""
-            self.event("info", "storage", f"recording again{lost}")
-            self._given_up = 0
+            self.event("info", "storage", "recording again")
         return True
 
 

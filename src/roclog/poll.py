@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from roclog.bus.bus import TooLate
 from roclog.cadence import Cadence, Missed
 from roclog.clock import Instant
-from roclog.errors import DeviceError, ExceptionAnswer, LinkDown
+from roclog.errors import DeviceError, ExceptionAnswer
 from roclog.handshake import Memory, Note, Seen, Verdict, after_clear, judge
 from roclog.modbus.request import ReadRegisters, WriteRegister, words
 from roclog.samples import Reading, SampleMaker
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from roclog.bus.tally import Tally
     from roclog.clock import Clock
     from roclog.outbox import Outbox
-    from roclog.register_map import Block, FlagAndClear, WordOrder
+    from roclog.register_map import Block, FlagAndClear
 
 _SETTLE_MAX: Final = 250_000_000
 """Nanoseconds between the two reads that confirm a sample: an eighth of the cycle, at most this.
@@ -42,7 +42,6 @@ class FlaggedBlock:
         tally: Tally,
         maker: SampleMaker,
         memory: Memory,
-        order: WordOrder,
         outbox: Outbox,
         clock: Clock,
         acknowledge: bool,
@@ -61,7 +60,6 @@ class FlaggedBlock:
         self._tally = tally
         self._maker = maker
         self._memory = memory
-        self._order = order
         self._outbox = outbox
         self._clock = clock
         self._acknowledge = acknowledge
@@ -84,7 +82,7 @@ class FlaggedBlock:
             if verdict.again:
                 await asyncio.sleep(self._settle() / 1e9)
                 continue
-            if not verdict.clear or not await self._may_clear():
+            if not verdict.clear or not self._may_clear():
                 return
             until = self.cadence.guarded_until()
             guarded = until is not None and self._clock.now().monotonic < until
@@ -114,6 +112,7 @@ class FlaggedBlock:
         if not verdict.again:
             self._quiet_at = reading.read.utc
         await self._outbox.flush()
+        self._tell_given_up(reading.read)
         return verdict
 
     def _seen(self, reading: Reading) -> Seen:
@@ -151,7 +150,7 @@ class FlaggedBlock:
             self._tell_missed(missed, reading.read, Reason.UNGUARDED_CLEAR)
         self._event("warning", "overdue", "the device has completed no sample for 1.5 cycles")
 
-    async def _may_clear(self) -> bool:
+    def _may_clear(self) -> bool:
         if not self._acknowledge or not self._outbox.empty:
             return False
         return self._clock.now().monotonic >= self._clear_after
@@ -168,9 +167,7 @@ class FlaggedBlock:
         except ExceptionAnswer as refusal:
             result, code = ClearResult.REFUSED, refusal.code
             self._tell_refusal(refusal)
-        except LinkDown:
-            result = ClearResult.UNANSWERED
-        except DeviceError:
+        except DeviceError:  # it may have taken effect; the next read tells
             result = ClearResult.UNANSWERED
         if result is ClearResult.DONE and self._refused:
             self._refused = False
@@ -222,6 +219,12 @@ class FlaggedBlock:
         offset = now.utc - now.monotonic
         after, before = missed.after + offset, missed.before + offset
         self._outbox.add(self._maker.gap(after, before, missed.count, reason, now.utc))
+
+    def _tell_given_up(self, now: Instant) -> None:
+        lost = [e for e in self._outbox.take_given_up() if e.topic == self._maker.topic]
+        if lost:
+            first, last = lost[0].log_time, lost[-1].log_time
+            self._outbox.add(self._maker.gap(first, last, len(lost), Reason.STORAGE, now.utc))
 
     def _settle(self) -> int:
         cycle = self.cadence.effective_cycle

@@ -22,6 +22,10 @@ class Tally:
     busy: int = 0
     exceptions: dict[int, int] = field(default_factory=dict)
 
+    def reset(self) -> None:
+        """Begin to count anew."""
+        self.__init__()  # type: ignore[misc]
+
     def count_exception(self, code: int) -> None:
         self.exceptions[code] = self.exceptions.get(code, 0) + 1
 

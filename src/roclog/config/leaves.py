@@ -5,14 +5,18 @@ from __future__ import annotations
 import ipaddress
 import math
 import re
-from collections.abc import Callable
 from decimal import Decimal
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import json
 
 from roclog.quantities import parse_duration, parse_size
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+NAME: Final = "[a-z0-9][a-z0-9_-]{0,31}"
+"""Of connections and devices: they become topics and names of files."""
 _LONGEST_TEXT: Final = 40
 _LONGEST_DURATION: Final = 36_500 * 86_400 * 10**9
 _LARGEST_SIZE: Final = 2**53

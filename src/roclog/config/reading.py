@@ -6,7 +6,7 @@ import re
 import stat
 import tomllib
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 from msgspec import UNSET, Struct, UnsetType
@@ -18,10 +18,8 @@ from roclog.errors import ConfigError, Problem
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
-    from typing import TypeVar
 
-    Table = TypeVar("Table", bound=Struct)
-
+Table = TypeVar("Table", bound=Struct)
 _LARGEST_FILE: Final = 1 << 20
 _PLACE: Final = re.compile(r"(.*) \(at line (\d+), column (\d+)\)", re.DOTALL)
 
@@ -85,8 +83,9 @@ def joined(key: str, name: str) -> str:
 
 def suggestion(word: str, known: Iterable[str]) -> str:
     """``, did you mean "..."?`` where a known word is close, else nothing."""
-    close = get_close_matches(word.lower(), list(known), n=1, cutoff=0.5)
-    return f', did you mean "{close[0]}"?' if close else ""
+    folded = {name.lower(): name for name in known}
+    close = get_close_matches(word.lower(), list(folded), n=1)
+    return f', did you mean "{folded[close[0]]}"?' if close else ""
 
 
 def read_table(kind: type[Table], value: object, key: str, problems: Problems) -> Table:
@@ -98,20 +97,21 @@ def read_table(kind: type[Table], value: object, key: str, problems: Problems) -
     tag_field = kind.__struct_config__.tag_field
     found: dict[str, Any] = {}
     if isinstance(value, dict):
-        for name in value.keys() - allowed.keys() - {tag_field}:
-            problems.add(joined(key, name), f"unknown key{suggestion(name, allowed)}")
+        for name in value:
+            if name not in allowed and name != tag_field:
+                problems.add(joined(key, name), f"unknown key{suggestion(name, allowed)}")
         for name, field in allowed.items():
             if name in value:
                 found[name] = _read_value(field.type, value[name], joined(key, name), problems)
             elif field.required:
-                problems.add(joined(key, name), "missing")
+                problems.add(joined(key, name), f"missing, needed is {_title(_plain(field.type))}")
     else:
         problems.add(key, f"{shown(value)} is not a table")
     return kind(**{field.name: found.get(field.name, UNSET) for field in allowed.values()})
 
 
 def _read_value(kind: Any, value: object, key: str, problems: Problems) -> object:
-    (plain,) = (arm for arm in get_args(kind) if arm is not UnsetType)
+    plain = _plain(kind)
     if isinstance(plain, type) and issubclass(plain, Struct):
         return read_table(plain, value, key, problems)
     try:
@@ -121,14 +121,23 @@ def _read_value(kind: Any, value: object, key: str, problems: Problems) -> objec
         return UNSET
 
 
+def _plain(kind: Any) -> Any:
+    return next(arm for arm in get_args(kind) if arm is not UnsetType)
+
+
+def _title(kind: Any) -> str | None:
+    return next((meta.title for meta in kind.__metadata__ if meta.title), None)
+
+
 def _refusal(kind: Any, value: object, error: msgspec.ValidationError) -> str:
     if isinstance(error.__cause__, (TypeError, ValueError)):  # raised by parse_leaf
         return str(error.__cause__)
-    title = next((meta.title for meta in kind.__metadata__ if meta.title), None)
+    title = _title(kind)
     if title is not None:
         return f"{shown(value)} is not {title}"
     inner = kind.__origin__
     words = get_args(inner) if get_origin(inner) is Literal else tuple(inner)
     text = [str(word) for word in words if isinstance(word, str)]
     hint = suggestion(value, text) if isinstance(value, str) else ""
-    return f"{shown(value)} is not {' or '.join(shown(word) for word in words)}{hint}"
+    *others, last = (shown(word) for word in words)
+    return f"{shown(value)} is not {' or '.join(filter(None, (', '.join(others), last)))}{hint}"

@@ -50,7 +50,10 @@ class Recording(Struct, kw_only=True, forbid_unknown_fields=True):
     keep: Keep | UnsetType = UNSET
 
 
-_SerialPort = Annotated[PathText, Meta(description="Best one of /dev/serial/by-id")]
+_SerialPort = Annotated[
+    PathText,
+    Meta(title="the path of a serial port", description="Best a link below /dev/serial/by-id"),
+]
 _Baudrate = Annotated[
     int,
     Meta(
@@ -99,7 +102,7 @@ class Rtu(Struct, kw_only=True, forbid_unknown_fields=True, tag_field="transport
     silence: _Silence | UnsetType = UNSET
 
 
-_Host = Annotated[Host, Meta(description="Host name or IP address")]
+_Host = Annotated[Host, Meta(title="a host name or an IP address")]
 _TcpPort = Annotated[
     int, Meta(ge=1, le=65535, title="a port from 1 to 65535", description="Default 502")
 ]
@@ -116,7 +119,7 @@ class Tcp(Struct, kw_only=True, forbid_unknown_fields=True, tag_field="transport
 _Profile = Annotated[
     str,
     Meta(
-        title="the name of a profile in quotes",
+        title="the name of a profile",
         description="Built-in register map; `roclog profiles` lists them",
         extra_json_schema={"enum": sorted(PROFILES)},
     ),
@@ -124,7 +127,7 @@ _Profile = Annotated[
 _ConnectionName = Annotated[
     str,
     Meta(
-        title="the name of a connection in quotes",
+        title="the name of a connection",
         description="Name of one of the tables under connections",
     ),
 ]

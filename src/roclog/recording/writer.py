@@ -46,6 +46,7 @@ class _Job:
     durable: bool
     done: Future[None]
     metadata: tuple[str, Mapping[str, str]] | None = None
+    carry: tuple[str, Mapping[str, object]] | None = None
 
 
 class Writer:
@@ -96,6 +97,10 @@ class Writer:
         """Put a metadata record into this segment and into every later one."""
         return self._submit(_Job((), durable=False, done=Future(), metadata=(name, values)))
 
+    def carry(self, topic: str, values: Mapping[str, object]) -> Future[None]:
+        """Let a later run know something that no message says."""
+        return self._submit(_Job((), durable=False, done=Future(), carry=(topic, values)))
+
     def close(self) -> None:
         """Write what waits, close and seal the segment, leave the state file. Idempotent."""
         if self._thread.is_alive():
@@ -144,6 +149,9 @@ class Writer:
         for job in jobs:
             if job.metadata is not None:
                 segment.append_metadata(*job.metadata)
+            if job.carry is not None:
+                self._inheritance.carry[job.carry[0]] = dict(job.carry[1])
+                self._directory.write_state_file(self._inheritance)
         if not entries:
             return
         durable = any(job.durable for job in jobs)

@@ -1,0 +1,170 @@
+"""What is allowed but will disappoint, and how busy a serial line will be."""
+
+from __future__ import annotations
+
+import math
+import stat
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from roclog.config.leaves import shown
+from roclog.errors import Problem
+from roclog.quantities import format_duration
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from roclog.config.settings import Connection, Device, Settings
+    from roclog.register_map import RegisterMap
+
+TURNAROUND: Final = 10_000_000
+"""Nanoseconds that a device typically takes between request and answer."""
+_REQUEST: Final = 8
+_ANSWER_FRAME: Final = 5
+"""Characters of a read request, and of an answer around its registers."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Share:
+    """One device's part of a line: nanoseconds for one poll, every ``poll``."""
+
+    device: str
+    poll: int
+    request: int
+    turnaround: int
+    answer: int
+    silence: int
+
+    @property
+    def wire(self) -> int:
+        """What no device can shorten."""
+        return self.request + self.answer + self.silence
+
+    @property
+    def busy(self) -> int:
+        return self.wire + self.turnaround
+
+
+@dataclass(frozen=True, slots=True)
+class BusLoad:
+    """How much of the time one serial connection is in use."""
+
+    connection: str
+    shares: tuple[Share, ...]
+
+    @property
+    def expected(self) -> float:
+        """1.0 = always busy, with a typical turnaround."""
+        return sum(share.busy / share.poll for share in self.shares)
+
+    @property
+    def least(self) -> float:
+        """Octets on the wire and silence alone; above 1.0 the polls cannot be kept."""
+        return sum(share.wire / share.poll for share in self.shares)
+
+
+def bus_loads(settings: Settings) -> list[BusLoad]:
+    """For every serial connection that has devices."""
+    loads: list[BusLoad] = []
+    for connection in settings.connections.values():
+        shares = tuple(
+            _share(device, connection)
+            for device in settings.devices.values()
+            if device.connection == connection.name
+        )
+        if shares and connection.transport == "rtu":
+            loads.append(BusLoad(connection.name, shares))
+    return loads
+
+
+def _share(device: Device, connection: Connection) -> Share:
+    blocks = device.profile.samples
+    words = sum(block.count for block in blocks)
+    return Share(
+        device=device.name,
+        poll=device.poll,
+        request=len(blocks) * _REQUEST * connection.character,
+        turnaround=len(blocks) * TURNAROUND,
+        answer=(len(blocks) * _ANSWER_FRAME + 2 * words) * connection.character,
+        silence=len(blocks) * connection.silence,
+    )
+
+
+def warnings(settings: Settings) -> list[Problem]:
+    """Everything worth a second look in a valid configuration, by key path."""
+    found = [*_file_warnings(settings)]
+    for connection in settings.connections.values():
+        key = f"connections.{connection.name}"
+        users = [d for d in settings.devices.values() if d.connection == connection.name]
+        found += [Problem(f"{key}{k}", text) for k, text in _connection_warnings(connection, users)]
+    for device in settings.devices.values():
+        found += [Problem(f"devices.{device.name}.poll", text) for text in _poll_warnings(device)]
+    return found
+
+
+def _file_warnings(settings: Settings) -> Iterator[Problem]:
+    try:
+        mode = settings.path.stat().st_mode
+    except OSError:
+        return
+    writers = [
+        who for bit, who in ((stat.S_IWGRP, "its group"), (stat.S_IWOTH, "others")) if mode & bit
+    ]
+    if writers:
+        yield Problem("", f"{' and '.join(writers)} may write to this file: chmod go-w")
+
+
+def _connection_warnings(connection: Connection, users: list[Device]) -> Iterator[tuple[str, str]]:
+    if not users:
+        yield "", "no device uses this connection"
+    if connection.transport != "rtu":
+        return
+    for device in users:
+        who = f"{device.profile.name} ({device.name})"
+        for name in ("baudrate", "bytesize", "parity", "stopbits"):
+            actual, fixed = getattr(connection, name), getattr(device.profile.serial, name)
+            if actual != fixed:
+                yield f".{name}", f"{shown(actual)}, but {who} has {shown(fixed)}"
+        asked = math.ceil(device.profile.serial.silence_characters * connection.character)
+        if connection.silence < asked:
+            text = f"{format_duration(connection.silence)}, but {who} asks {format_duration(asked)}"
+            yield ".silence", text
+    longest = max((_longest_answer(device.profile) for device in users), default=0)
+    needed = longest * connection.character + TURNAROUND
+    if connection.timeout < needed:
+        text = (
+            f"{format_duration(connection.timeout)}, but the longest answer and a typical "
+            f"turnaround take {format_duration(needed)} at {connection.baudrate} baud"
+        )
+        yield ".timeout", text
+
+
+def _longest_answer(profile: RegisterMap) -> int:
+    return _ANSWER_FRAME + 2 * max(block.count for block in profile.blocks)
+
+
+def _poll_warnings(device: Device) -> Iterator[str]:
+    if device.cycle is not None and device.poll > device.cycle:
+        lost = 1 - device.cycle / device.poll
+        yield (
+            f"{format_duration(device.poll)} is longer than the cycle of the device, "
+            f"{format_duration(device.cycle)}: about {lost:.0%} of the samples will be lost"
+        )
+    shortest = _shortest_cycle(device.profile)
+    if device.cycle is None and shortest is not None and device.poll > shortest:
+        yield (
+            f"{format_duration(device.poll)} is longer than the shortest cycle that "
+            f"{device.profile.name} can have, {format_duration(shortest)}: where the device is set "
+            "so, samples will be lost"
+        )
+
+
+def _shortest_cycle(profile: RegisterMap) -> int | None:
+    """Nanoseconds, from the lowest documented values of the points that make the cycle."""
+    if profile.cycle is None:
+        return None
+    facts, names = profile.cycle
+    lows = [point.low for point in profile.block(facts).points if point.name in names]
+    if any(low is None for low in lows):
+        return None
+    return int(sum(low for low in lows if low is not None) * 10**9)

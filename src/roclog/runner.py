@@ -1,0 +1,76 @@
+"""Runs a session until its time is over or the process is asked to stop."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from roclog.service import notify
+from roclog.session import Session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from roclog.clock import Clock
+    from roclog.config.settings import Settings
+
+
+async def record(
+    settings: Settings,
+    clock: Clock,
+    duration: float | None,
+    on_second: Callable[[Session], None] | None = None,
+) -> None:
+    """Record for ``duration`` seconds (None: until SIGINT or SIGTERM), then close in order.
+
+    Raises:
+        StorageError: the directory cannot be used.
+    """
+    stop = asyncio.Event()
+    with _stopping_signals(stop):
+        async with Session(settings, clock) as session:
+            notify("READY=1")
+            running = asyncio.create_task(session.run())
+            alive = asyncio.create_task(_prove_life(session, on_second))
+            try:
+                async with asyncio.timeout(duration):
+                    await stop.wait()
+            except TimeoutError:
+                pass
+            finally:
+                notify("STOPPING=1")
+                for task in (alive, running):
+                    task.cancel()
+                await asyncio.gather(alive, running, return_exceptions=True)
+
+
+async def _prove_life(session: Session, on_second: Callable[[Session], None] | None) -> None:
+    """Once a second, and only after the writer has answered, tell the watchdog."""
+    while True:
+        await session.writer_answers()
+        notify("WATCHDOG=1")
+        if on_second is not None:
+            on_second(session)
+        await asyncio.sleep(1)
+
+
+@contextmanager
+def _stopping_signals(stop: asyncio.Event) -> Iterator[None]:
+    """The first signal stops in order; a second one at once."""
+    loop = asyncio.get_running_loop()
+
+    def ask(number: int) -> None:
+        stop.set()
+        loop.remove_signal_handler(number)
+        signal.signal(number, signal.SIG_DFL)
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    for number in numbers:
+        loop.add_signal_handler(number, ask, number)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            loop.remove_signal_handler(number)

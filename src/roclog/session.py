@@ -1,0 +1,247 @@
+"""A recording session: everything built from the settings, started, and ended in order."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import uuid
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from roclog.bus.bus import Bus, Timing
+from roclog.bus.serial_port import SerialLink
+from roclog.bus.tally import Tally
+from roclog.bus.tcp import TcpLink
+from roclog.handshake import Memory, recover
+from roclog.outbox import Outbox
+from roclog.poll import FlaggedBlock
+from roclog.polled_device import PolledDevice
+from roclog.recording.directory import Directory, Inheritance
+from roclog.recording.entries import LOG_CHANNEL, block_channel, log_entry, plain_channel
+from roclog.recording.retention import Retention
+from roclog.recording.sealer import Sealer
+from roclog.recording.writer import Limits, Writer
+from roclog.samples import SampleMaker
+from roclog.schema import CLEAR, GAP, LINK
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from roclog.bus.link import Link
+    from roclog.clock import Clock
+    from roclog.config.settings import Connection, Device, Settings
+    from roclog.recording.entries import ChannelInfo
+    from roclog.register_map import Block
+
+_log = logging.getLogger("roclog")
+_CLOCK_STEP: Final = 500_000_000
+_CLOCK_WATCH_SECONDS: Final = 1.0
+
+
+def make_bus(connection: Connection, devices: list[Device], clock: Clock) -> Bus:
+    """The bus of a connection; only the acknowledgements of its devices may be written."""
+    link: Link
+    if connection.transport == "rtu":
+        link = SerialLink(
+            str(connection.port),
+            connection.baudrate,
+            connection.bytesize,
+            connection.parity,
+            connection.stopbits,
+        )
+    else:
+        link = TcpLink(connection.host, int(connection.port))
+    timing = Timing(
+        timeout=connection.timeout,
+        late_answer=connection.late_answer,
+        silence=connection.silence,
+        character=connection.character,
+    )
+    permitted = frozenset(
+        (device.unit, block.address + block.trigger.flag, block.trigger.clear)
+        for device in devices
+        if device.acknowledge
+        for block in device.profile.samples
+        if block.trigger is not None
+    )
+    return Bus(link, timing, clock, permitted)
+
+
+def channels(settings: Settings) -> list[ChannelInfo]:
+    """Every channel of a recording with these settings."""
+    found = [LOG_CHANNEL]
+    for device in settings.devices.values():
+        profile = device.profile.name
+        for block in device.profile.samples:
+            maker = SampleMaker(device.name, profile, block, device.word_order, b"")
+            found.append(block_channel(device.name, profile, block, maker.kind))
+            if block.trigger is not None:
+                found.append(plain_channel(device.name, "clear", CLEAR, clears=maker.topic))
+        found.append(plain_channel(device.name, "gap", GAP))
+        found.append(plain_channel(device.name, "link", LINK))
+    return found
+
+
+class Session:
+    """One run. ``async with Session(settings, clock) as session: await session.run()``.
+
+    Entering opens the directory, seals what a crash left and opens the first segment.
+
+    Raises:
+        StorageError: on entering, when the directory cannot be used.
+    """
+
+    def __init__(self, settings: Settings, clock: Clock) -> None:
+        self.settings = settings
+        self.devices: list[PolledDevice] = []
+        self._clock = clock
+        self._run = uuid.uuid4().hex
+        self._buses: dict[str, Bus] = {}
+
+    async def __aenter__(self) -> Session:
+        recording = self.settings.recording
+        self._directory = Directory(recording.directory)
+        try:
+            leftover = self._directory.hot_segments()
+            self._inheritance = self._directory.inherit()
+            alive_until = self._inheritance.alive_until
+            keep = Retention(self._clock, recording.keep_age, recording.keep_size)
+            limited = recording.keep_age is not None or recording.keep_size is not None
+            self._sealer = Sealer(recording.directory, keep if limited else None, self._tell)
+            for path in leftover:
+                self._sealer.seal(path)
+            try:
+                self._writer = self._open_writer(self._inheritance)
+            except BaseException:
+                self._sealer.close()
+                raise
+        except BaseException:
+            self._directory.release()
+            raise
+        self._build(alive_until)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """Every message is on disk, the segment sealed and the directory free on return."""
+        for device in self.devices:
+            device.close()
+            await device.outbox.flush()
+        for bus in self._buses.values():
+            bus.close()
+        await asyncio.to_thread(self._writer.close)
+        await asyncio.to_thread(self._sealer.close)
+        self._directory.release()
+
+    async def run(self) -> None:
+        """Record until cancelled. One task for each device; one that breaks is told and restarted."""
+        async with asyncio.TaskGroup() as group:
+            for device in self.devices:
+                group.create_task(self._supervise(device))
+            group.create_task(self._watch_clock())
+
+    async def writer_answers(self) -> None:
+        """Return once the writer has taken everything handed to it before."""
+        await asyncio.wrap_future(self._writer.note([]))
+
+    async def _supervise(self, device: PolledDevice) -> None:
+        while True:
+            try:
+                await device.run()
+            except Exception as error:  # noqa: BLE001 - months unattended: one fault ends no device
+                _log.exception("%s: unexpected error", device.device.name)
+                device.outbox.event("error", "internal", f"unexpected {error!r}, going on")
+                await asyncio.sleep(max(1.0, device.device.poll / 1e9))
+
+    async def _watch_clock(self) -> None:
+        """Steps of the wall clock are recorded; the schedule runs on the monotonic clock."""
+        now = self._clock.now()
+        offset = now.utc - now.monotonic
+        while True:
+            await asyncio.sleep(_CLOCK_WATCH_SECONDS)
+            now = self._clock.now()
+            step = now.utc - now.monotonic - offset
+            if abs(step) > _CLOCK_STEP:
+                offset += step
+                self._tell("warning", f"the wall clock was stepped by {step / 1e9:+.3f} s", "clock")
+
+    def _tell(self, level: str, text: str, kind: str = "recording") -> None:
+        _log.log(getattr(logging, level.upper()), "%s: %s", kind, text)
+        if hasattr(self, "_writer"):
+            self._writer.note([log_entry(self._clock.now().utc, level, kind, text)])
+
+    def _open_writer(self, inheritance: Inheritance) -> Writer:
+        recording = self.settings.recording
+        limits = Limits(recording.segment_duration, recording.segment_size)
+        return Writer(
+            self._directory,
+            inheritance,
+            channels(self.settings),
+            limits,
+            self._clock,
+            self._segment_facts,
+            self._sealer,
+        )
+
+    def _segment_facts(self, number: int) -> dict[str, str]:
+        now = self._clock.now()
+        return {
+            "number": str(number),
+            "logger": self._inheritance.logger,
+            "run": self._run,
+            "boot_id": _boot_id(),
+            "version": version("roclog"),
+            "opened_at": str(now.utc),
+            "opened_at_monotonic": str(now.monotonic),
+        }
+
+    def _build(self, alive_until: int) -> None:
+        devices = list(self.settings.devices.values())
+        for name, connection in self.settings.connections.items():
+            users = [device for device in devices if device.connection == name]
+            self._buses[name] = make_bus(connection, users, self._clock)
+        for device in devices:
+            for block in device.profile.samples:
+                self._add(device, block, alive_until)
+
+    def _add(self, device: Device, block: Block, alive_until: int) -> None:
+        topic = f"/{device.name}/{block.name}"
+        carry = self._inheritance.carry.get(topic)
+        epoch, memory = _resume(carry)
+        outbox = Outbox(device.name, self._writer, self._clock)
+        maker = SampleMaker(device.name, device.profile.name, block, device.word_order, epoch)
+        tally = Tally()
+        bus = self._buses[device.connection]
+        flagged = FlaggedBlock(
+            unit=device.unit,
+            bus=bus,
+            tally=tally,
+            maker=maker,
+            memory=memory,
+            outbox=outbox,
+            clock=self._clock,
+            acknowledge=device.acknowledge,
+        )
+        since = alive_until if carry is not None else 0
+        self.devices.append(
+            PolledDevice(device, bus, tally, flagged, maker, outbox, self._writer, self._clock, since)
+        )
+
+
+def _resume(carry: Mapping[str, object] | None) -> tuple[bytes, Memory]:
+    if carry is None:
+        return uuid.uuid4().bytes, Memory()
+    payload = carry["payload"]
+    memory = recover(
+        int(str(carry["seq"])),
+        None if payload is None else bytes.fromhex(str(payload)),
+        cleared=bool(carry["cleared"]),
+    )
+    return bytes.fromhex(str(carry["epoch"])), memory
+
+
+def _boot_id() -> str:
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        return "unknown"
