@@ -80,17 +80,20 @@ class Cadence:
         cycle = self.effective_cycle
         if cycle is None:
             return None
-        if since is None:
-            since = int(asked_at - cycle * (1 + TOLERANCE))
+        if since is None:  # it may have waited for long; what was before is not ours
+            low = asked_at - cycle * (1 + TOLERANCE)
+            self._note_spacing((int(low), read_at))
+            self._guesses = [_Guess(low, read_at, 0)]
+            return None
         self._note_spacing((since, read_at))
         if read_at - since >= cycle * (1 - TOLERANCE):
             self._spell = (self._spell[0] if self._spell else since, read_at)
-        if read_at - since <= cycle * _COUNTABLE:
-            guesses = self._step(since, asked_at, read_at, cycle)
-            if guesses:
-                self._guesses = guesses
-                return self._settle(min(guess.missed for guess in guesses))
-        return self._restart(since, asked_at, read_at, cycle)
+        guesses = self._step(self._guesses, since, asked_at, read_at, cycle)
+        if not guesses:  # no phase yet, or none that fits
+            self._reported -= max((guess.missed for guess in self._guesses), default=0)
+            guesses = self._fresh(since, asked_at, read_at, cycle)
+        self._guesses = guesses
+        return self._settle(min(guess.missed for guess in guesses))
 
     def close(self) -> Missed | None:
         """What may have been missed and can no longer be ruled out."""
@@ -153,22 +156,15 @@ class Cadence:
         self._spell = None
         self._reported = 0
 
-    def _restart(self, since: int, asked_at: int, read_at: int, cycle: int) -> Missed | None:
-        """Begin anew with this window; all but the last of what surely fits into it is missed."""
-        longest = cycle * (1 + TOLERANCE)
-        blind = asked_at - since
-        fits = int(blind / (longest if blind <= cycle * _COUNTABLE else cycle)) - 1
-        undecided = max((guess.missed for guess in self._guesses), default=0) - self._reported
-        count = max(0, fits) + max(0, undecided)
-        after = self._spell[0] if self._spell else since
-        self._lose_phase()
-        self._guesses = [_Guess(max(since, asked_at - longest), read_at, 0)]
-        return Missed(after, read_at, count) if count else None
-
-    def _step(self, since: int, asked_at: int, read_at: int, cycle: int) -> list[_Guess]:
+    def _step(
+        self, guesses: list[_Guess], since: int, asked_at: int, read_at: int, cycle: int
+    ) -> list[_Guess]:
+        """The guesses after a read that showed a sample: those that fit it."""
         early, late = cycle * (1 - TOLERANCE), cycle * (1 + TOLERANCE)
+        if read_at - since > cycle * _COUNTABLE:
+            return []
         found: dict[int, _Guess] = {}
-        for guess in self._guesses:
+        for guess in guesses:
             for n in range(1, int((read_at - since) / early) + 2):
                 low = max(guess.low + n * early, since, asked_at - late)
                 high = min(guess.high + n * late, read_at)
@@ -177,6 +173,13 @@ class Cadence:
                     other = found.get(missed, _Guess(low, high, missed))
                     found[missed] = _Guess(min(low, other.low), max(high, other.high), missed)
         return list(found.values())
+
+    def _fresh(self, since: int, asked_at: int, read_at: int, cycle: int) -> list[_Guess]:
+        """As ``_step``, where only this is known: one completed in the cycle before ``since``."""
+        late = cycle * (1 + TOLERANCE)
+        if read_at - since > cycle * _COUNTABLE:
+            return [_Guess(asked_at - late, read_at, int((asked_at - since) / cycle) - 1)]
+        return self._step([_Guess(since - late, since, 0)], since, asked_at, read_at, cycle)
 
     def _settle(self, certain: int) -> Missed | None:
         count, self._reported = certain - self._reported, certain

@@ -18,7 +18,10 @@ Wrong arguments from a calling program are plain ValueError.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 class RoclogError(Exception):

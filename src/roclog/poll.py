@@ -67,7 +67,8 @@ class FlaggedBlock:
         self._clear_after = 0
         self._refused = False
         self._uncertain = False
-        self._overdue_told = False
+        self._certain_before = 0
+        self._overdue = False
         self._odd_flag_told = False
 
     async def turn(self) -> None:
@@ -132,23 +133,28 @@ class FlaggedBlock:
             kept = self._reading(news.seen)
             self._outbox.add(self._maker.sample(news, kept, self._memory))
             if not news.redelivered:
-                missed = self.cadence.completed(kept.asked.monotonic, kept.read.monotonic)
-                self._tell_missed(missed, reading.read)
-                self._uncertain = False
-                self._overdue_told = False
+                self._follow(kept, reading)
         if not verdict.again and self._memory.candidate is None:
             self._tell_missed(self.cadence.quiet(reading.asked.monotonic), reading.read)
             self._watch_for_overdue(reading)
 
-    def _watch_for_overdue(self, reading: Reading) -> None:
-        if self._overdue_told or not self.cadence.overdue(reading.asked.monotonic):
-            return
-        self._overdue_told = True
+    def _follow(self, kept: Reading, reading: Reading) -> None:
+        """Count what was missed before a new sample."""
         since = self.cadence.last_completed
-        if self._uncertain and since is not None:
-            missed = Missed(since, reading.read.monotonic, 1)
-            self._tell_missed(missed, reading.read, Reason.UNGUARDED_CLEAR)
-        self._event("warning", "overdue", "the device has completed no sample for 1.5 cycles")
+        missed = self.cadence.completed(kept.asked.monotonic, kept.read.monotonic)
+        self._tell_missed(missed, reading.read)
+        if self._overdue and self._uncertain and since is not None:
+            hidden = Missed(since, kept.read.monotonic, 1)
+            self._tell_missed(hidden, reading.read, Reason.UNGUARDED_CLEAR)
+        self._uncertain = False
+        self._overdue = False
+
+    def _watch_for_overdue(self, reading: Reading) -> None:
+        if reading.read.monotonic < self._certain_before:
+            self._uncertain = False  # no further sample can have hidden behind the clear
+        if not self._overdue and self.cadence.overdue(reading.asked.monotonic):
+            self._overdue = True
+            self._event("warning", "overdue", "no new sample for 1.5 cycles")
 
     def _may_clear(self) -> bool:
         if not self._acknowledge or not self._outbox.empty:
@@ -174,6 +180,7 @@ class FlaggedBlock:
             self._event("info", "clear", "the device takes the clear again")
         self._memory = after_clear(self._memory, result)
         self._uncertain = not_after is None or result is ClearResult.UNANSWERED
+        self._certain_before = not_after or 0
         ended = self._clock.now().utc
         guarded = not_after is not None
         self._outbox.note(

@@ -36,6 +36,7 @@ class PolledDevice:
 
     def __init__(
         self,
+        *,
         device: Device,
         bus: Bus,
         tally: Tally,

@@ -181,7 +181,9 @@ def check_register_map(register_map: RegisterMap) -> None:
     Raises:
         RegisterMapError: with all problems, not the first.
     """
-    problems = [] if re.fullmatch(r"[a-z][a-z0-9-]*", register_map.name) else ["name: not lower case"]
+    problems = (
+        [] if re.fullmatch(r"[a-z][a-z0-9-]*", register_map.name) else ["name: not lower case"]
+    )
     names = [block.name for block in register_map.blocks]
     problems += [f"block {n}: named twice" for n in sorted(set(names)) if names.count(n) > 1]
     for block in register_map.blocks:
@@ -201,7 +203,9 @@ def _block_problems(block: Block) -> list[str]:
     if not 1 <= block.count <= MAX_READ_REGISTERS:
         problems.append(f"count {block.count} is not 1 to {MAX_READ_REGISTERS} registers")
     if not 0 <= block.address <= 65536 - block.count:
-        problems.append(f"registers {block.address} to {block.address + block.count - 1} do not exist")
+        problems.append(
+            f"registers {block.address} to {block.address + block.count - 1} do not exist"
+        )
     taken: dict[int, str] = {}
     names: list[str] = []
     for index, point in enumerate(block.points):
@@ -231,9 +235,13 @@ def _point_problems(point: Point, block: Block, index: int) -> list[str]:
         if point.low > point.high:
             problems.append(f"low {point.low} is above high {point.high}")
         if index >= MAX_RANGED_POINTS:
-            problems.append(f"only the first {MAX_RANGED_POINTS} points of a block can have a range")
+            problems.append(
+                f"only the first {MAX_RANGED_POINTS} points of a block can have a range"
+            )
     width = 16 * point.size
-    problems += [f"bit {bit} is outside {width} bits" for bit, _ in point.bits if not 0 <= bit < width]
+    problems += [
+        f"bit {bit} is outside {width} bits" for bit, _ in point.bits if not 0 <= bit < width
+    ]
     if point.bits and (point.scale is not None or point.type is WordType.TEXT):
         problems.append("bits need an unscaled integer")
     return problems
@@ -260,5 +268,7 @@ def _trigger_problems(block: Block, taken: dict[int, str]) -> list[str]:
             used += [("payload", first), ("payload", first + words - 1)]
             if first <= trigger.flag < first + words:
                 problems.append("payload: contains the flag")
-    problems += [f"{what}: offset {o} is outside the block" for what, o in used if not 0 <= o < block.count]
+    problems += [
+        f"{what}: offset {o} is outside the block" for what, o in used if not 0 <= o < block.count
+    ]
     return problems

@@ -92,7 +92,14 @@ class SampleMaker:
         return Entry(f"/{self._device}/gap", now, now, 0, data)
 
     def clear(
-        self, memory: Memory, asked: int, ended: int, result: ClearResult, code: int, *, guarded: bool
+        self,
+        memory: Memory,
+        asked: int,
+        ended: int,
+        result: ClearResult,
+        code: int,
+        *,
+        guarded: bool,
     ) -> Entry:
         """``asked`` and ``ended`` in ns UTC; ``memory`` as it is after the clear."""
         values = (memory.seq, self.epoch, asked, ended, result, code, guarded)

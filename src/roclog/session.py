@@ -7,12 +7,10 @@ import logging
 import uuid
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Self
 
-from roclog.bus.bus import Bus, Timing
-from roclog.bus.serial_port import SerialLink
 from roclog.bus.tally import Tally
-from roclog.bus.tcp import TcpLink
+from roclog.connect import make_bus
 from roclog.handshake import Memory, recover
 from roclog.outbox import Outbox
 from roclog.poll import FlaggedBlock
@@ -28,44 +26,15 @@ from roclog.schema import CLEAR, GAP, LINK
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from roclog.bus.link import Link
+    from roclog.bus.bus import Bus
     from roclog.clock import Clock
-    from roclog.config.settings import Connection, Device, Settings
+    from roclog.config.settings import Device, Settings
     from roclog.recording.entries import ChannelInfo
     from roclog.register_map import Block
 
 _log = logging.getLogger("roclog")
 _CLOCK_STEP: Final = 500_000_000
 _CLOCK_WATCH_SECONDS: Final = 1.0
-
-
-def make_bus(connection: Connection, devices: list[Device], clock: Clock) -> Bus:
-    """The bus of a connection; only the acknowledgements of its devices may be written."""
-    link: Link
-    if connection.transport == "rtu":
-        link = SerialLink(
-            str(connection.port),
-            connection.baudrate,
-            connection.bytesize,
-            connection.parity,
-            connection.stopbits,
-        )
-    else:
-        link = TcpLink(connection.host, int(connection.port))
-    timing = Timing(
-        timeout=connection.timeout,
-        late_answer=connection.late_answer,
-        silence=connection.silence,
-        character=connection.character,
-    )
-    permitted = frozenset(
-        (device.unit, block.address + block.trigger.flag, block.trigger.clear)
-        for device in devices
-        if device.acknowledge
-        for block in device.profile.samples
-        if block.trigger is not None
-    )
-    return Bus(link, timing, clock, permitted)
 
 
 def channels(settings: Settings) -> list[ChannelInfo]:
@@ -99,7 +68,7 @@ class Session:
         self._run = uuid.uuid4().hex
         self._buses: dict[str, Bus] = {}
 
-    async def __aenter__(self) -> Session:
+    async def __aenter__(self) -> Self:
         recording = self.settings.recording
         self._directory = Directory(recording.directory)
         try:
@@ -134,7 +103,7 @@ class Session:
         self._directory.release()
 
     async def run(self) -> None:
-        """Record until cancelled. One task for each device; one that breaks is told and restarted."""
+        """Record until cancelled. One task a device; one that breaks is told and restarted."""
         async with asyncio.TaskGroup() as group:
             for device in self.devices:
                 group.create_task(self._supervise(device))
@@ -224,7 +193,17 @@ class Session:
         )
         since = alive_until if carry is not None else 0
         self.devices.append(
-            PolledDevice(device, bus, tally, flagged, maker, outbox, self._writer, self._clock, since)
+            PolledDevice(
+                device=device,
+                bus=bus,
+                tally=tally,
+                block=flagged,
+                maker=maker,
+                outbox=outbox,
+                writer=self._writer,
+                clock=self._clock,
+                alive_until=since,
+            )
         )
 
 

@@ -141,10 +141,10 @@ class Schedule:
             self._k, self._begun = self._begun.k, None
 
     def _power_off(self) -> None:
-        self._shared.truth.log("power", on=False, k=self._k)
         self._shared.mute = self._shared.off = True
         self._stop_sampling()
         self._side.power_fails()
+        self._shared.truth.log("power", on=False, k=self._k)
         self._loop.call_later(_DARK_CYCLES * self._options.cycle, self._power_on)
 
     def _power_on(self) -> None:
@@ -154,13 +154,13 @@ class Schedule:
         self._restart()
 
     def _die(self) -> None:
-        self._shared.truth.log("dead", k=self._k)
         self._shared.mute = True
         self._cancel()
+        self._shared.truth.log("dead", k=self._k)
 
     def _drop_link(self) -> None:
-        self._shared.truth.log("link_dropped")
         self._side.drop()
+        self._shared.truth.log("link_dropped")
         self._loop.call_later(self._options.drop_link_every, self._drop_link)
 
 

@@ -7,6 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
+from mcap.exceptions import EndOfFile
+from mcap.records import Chunk, Footer, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+
 
 @dataclass
 class _Seen:
@@ -65,10 +69,6 @@ def _scan(path: Path, seen: _Seen) -> _Seen:
 
 def _read_on(file: BinaryIO, seen: _Seen) -> None:
     """A tail that is still being written ends the pass; it is read again next time."""
-    from mcap.exceptions import EndOfFile  # noqa: PLC0415 - only this check needs the package
-    from mcap.records import Chunk, Footer, Message  # noqa: PLC0415
-    from mcap.stream_reader import StreamReader, breakup_chunk  # noqa: PLC0415
-
     file.seek(seen.offset)
     skip_magic = seen.offset > 0
     reader = StreamReader(file, skip_magic=skip_magic, emit_chunks=True, validate_crcs=True)

@@ -6,7 +6,6 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from roc_disk import Disk
 from roc_map import (
     BLOCK,
     FLAG,
@@ -34,6 +33,7 @@ from wire import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from roc_disk import Disk
     from roc_options import Options
     from roc_truth import Truth
 
@@ -54,13 +54,19 @@ def _nothing(_sample: Sample | None) -> bool:
     return False
 
 
+def _disk(directory: str) -> Disk:
+    from roc_disk import Disk  # noqa: PLC0415 - the one module that needs the mcap package
+
+    return Disk(directory)
+
+
 class Model:
     def __init__(self, options: Options, truth: Truth) -> None:
         self.truth = truth
         self.on_reset: Callable[[], None] = lambda: None
         self.race: Callable[[Sample | None], bool] = _nothing
         self._options = options
-        self._disk = Disk(options.check_disk) if options.check_disk else None
+        self._disk = _disk(options.check_disk) if options.check_disk else None
         self._identity = identity()
         self._saved = configuration(options.unit, options.cycle)
         self._config = dict(self._saved)

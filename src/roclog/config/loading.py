@@ -51,11 +51,7 @@ def load(path: Path) -> Settings:
     file = read_toml(path)
     base = path.absolute().parent
     problems = Problems()
-    known = Configuration.__struct_fields__
-    for name in file:
-        if name not in known:
-            problems.add(joined("", name), f"unknown key{suggestion(name, known)}")
-
+    problems.unknown_keys("", file, Configuration.__struct_fields__)
     table = read_table(Recording, file.get("recording", {}), "recording", problems)
     recording = defaults.recording_settings(table, base)
     _check_recording(recording, problems)
@@ -114,6 +110,8 @@ def _read_connections(file: dict[str, Any], problems: Problems) -> Iterator[tupl
             yield name, read_table(_TRANSPORTS[transport], table, key, problems)
         elif "transport" not in table:
             problems.add(f"{key}.transport", 'missing, needed is "rtu" or "tcp"')
+            allowed = {"transport", *Rtu.__struct_fields__, *Tcp.__struct_fields__}
+            problems.unknown_keys(key, table, allowed)
         elif isinstance(transport, str) and transport in LATER_TRANSPORTS:
             text = f'{shown(transport)} is not in this version, only "rtu" and "tcp" are'
             problems.add(f"{key}.transport", text)

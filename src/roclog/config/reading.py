@@ -16,7 +16,7 @@ from roclog.config.leaves import parse_leaf, shown
 from roclog.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
     from pathlib import Path
 
 Table = TypeVar("Table", bound=Struct)
@@ -36,6 +36,11 @@ class Problems:
     def at(self, key: str) -> bool:
         """Whether something is wrong with this key; what depends on it is not judged then."""
         return any(problem.key == key for problem in self.found)
+
+    def unknown_keys(self, key: str, table: Iterable[str], allowed: Collection[str]) -> None:
+        for name in table:
+            if name not in allowed:
+                self.add(joined(key, name), f"unknown key{suggestion(name, allowed)}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -97,9 +102,7 @@ def read_table(kind: type[Table], value: object, key: str, problems: Problems) -
     tag_field = kind.__struct_config__.tag_field
     found: dict[str, Any] = {}
     if isinstance(value, dict):
-        for name in value:
-            if name not in allowed and name != tag_field:
-                problems.add(joined(key, name), f"unknown key{suggestion(name, allowed)}")
+        problems.unknown_keys(key, value, allowed.keys() | ({tag_field} if tag_field else set()))
         for name, field in allowed.items():
             if name in value:
                 found[name] = _read_value(field.type, value[name], joined(key, name), problems)

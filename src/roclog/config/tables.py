@@ -14,7 +14,6 @@ from roclog.config.leaves import NAME, Duration, Host, PathText, Silence, Size, 
 from roclog.devices import PROFILES
 from roclog.register_map import WordOrder
 
-SCHEMA_FILE: Final = "config.schema.json"
 LATER_TRANSPORTS: Final = frozenset({"udp", "rtu-over-tcp"})
 LATER_PROFILES: Final = frozenset({"mei-timestamped", "mpa-48", "msx-e3317", "registers"})
 """Words of the interface that this version does not have yet."""

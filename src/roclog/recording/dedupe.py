@@ -90,8 +90,8 @@ def _runs(pages: dict[int, array[int]]) -> Iterator[tuple[int, int]]:
 class SeenMessages:
     """Digests of the messages without a key (events, gaps), for the latest two segments.
 
-    Copies of a segment follow each other in reading order, and what a failing disk made the recorder
-    write again stands in the next segment.
+    Copies of a segment follow each other in reading order, and what a failing disk made the
+    recorder write again stands in the next segment.
     """
 
     def __init__(self) -> None:

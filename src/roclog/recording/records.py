@@ -18,7 +18,7 @@ class Sample:
     """One sample of a block; two with the same topic, epoch and seq are copies.
 
     log_time: host time of the answer. publish_time: device time where it is trusted, else log_time.
-    seq: counts the samples of a topic within an epoch; the MCAP sequence in files of other programs.
+    seq: counts the samples of a topic within an epoch; elsewhere the MCAP sequence.
     epoch: 16 octets; empty in files of other programs.
     origin: "flag", "changed", "cyclic" or "unknown".
     redelivered: read again after a restart because its clear was still owed.

@@ -64,7 +64,7 @@ class Scan:
         from chunks with a checksum. In files of others, messages outside chunks are taken as long
         as no chunk came before them: a flipped bit makes a message out of a message index.
     damage: what was skipped or cut off, filled while iterating.
-    octets: size of the good part.
+    octets: size of the good part. read_to: how far the file went when it was read.
 
     The schemas and channels that a finished file repeats behind its data are not returned; see
     ``recording/summary.py`` for them.
@@ -81,6 +81,7 @@ class Scan:
         self.ours = False
         self.damage: list[DamagedFile] = []
         self.octets = 0
+        self.read_to = 0
         self._start = 0 if start is None else start
         self._end = 2**64 if end is None else end
         self._chunks = 0
@@ -89,9 +90,13 @@ class Scan:
     def __iter__(self) -> Iterator[Found]:
         with self.path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
+                self.read_to = file.seek(0, io.SEEK_END)
                 raise DamagedFile(self.path, 0, "not an MCAP file")
             self.octets = len(MAGIC)
-            yield from self._records(file)
+            try:
+                yield from self._records(file)
+            finally:
+                self.read_to = file.tell()
 
     def _records(self, file: IO[bytes]) -> Iterator[Found]:
         while head := file.read(_FRAME.size):

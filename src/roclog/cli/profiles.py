@@ -1,0 +1,209 @@
+"""``roclog profiles``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from roclog.devices import PROFILES
+from roclog.quantities import format_duration
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from roclog.register_map import Block, Point, RegisterMap
+
+_NUMERIC: Final = frozenset({"address", "words", "unit id"})
+_POINT_HEADINGS: Final = (
+    "address",
+    "words",
+    "name",
+    "type",
+    "scale",
+    "unit",
+    "range",
+    "meanings",
+    "title",
+)
+
+
+@click.command()
+@click.argument("name", required=False)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def profiles(name: str | None, *, as_json: bool) -> None:
+    r"""Show the built-in register maps.
+
+    Without NAME the list of them. Addresses are PDU addresses, counted from 0.
+
+    \b
+    Example:
+      roclog profiles hiac-roc
+    """
+    if name is not None and name not in PROFILES:
+        close = get_close_matches(name, PROFILES, n=1)
+        hint = f", did you mean {close[0]!r}?" if close else f"; there is {', '.join(PROFILES)}"
+        raise click.BadParameter(f"no profile {name!r}{hint}", param_hint="NAME")
+    chosen = [profile for profile in PROFILES.values() if name in (None, profile.name)]
+    if as_json:
+        objects = [_profile_object(profile, blocks=name is not None) for profile in chosen]
+        click.echo(json.dumps({"schema": "roclog.profiles/1", "profiles": objects}))
+    elif name is None:
+        rows = [(p.name, p.title, str(p.unit), _serial(p), p.source) for p in chosen]
+        _print_table(("name", "title", "unit id", "serial line", "source"), rows)
+    else:
+        _print_profile(chosen[0])
+
+
+def _print_profile(profile: RegisterMap) -> None:
+    for label, text in _facts(profile):
+        click.echo(f"{label:12}{text}")
+    for block in profile.blocks:
+        click.echo(f"\n{block.title or block.name}")
+        for label, text in _block_facts(profile, block):
+            click.echo(f"{label:12}{text}")
+        points = sorted(block.points, key=lambda point: point.offset)
+        _print_table(_POINT_HEADINGS, [_row(block, point) for point in points])
+
+
+def _facts(profile: RegisterMap) -> Iterator[tuple[str, str]]:
+    yield "profile", f"{profile.name}: {profile.title}"
+    yield "source", profile.source
+    yield "delivered", f"unit {profile.unit}, {_serial(profile)}"
+    yield "silence", f"{profile.serial.silence_characters:g} characters before a request"
+    yield "answers", f"within {format_duration(profile.answer_limit)}"
+    if profile.cycle is not None:
+        yield "cycle", f"{' + '.join(profile.cycle[1])} of block {profile.cycle[0]}"
+    for note in profile.notes:
+        yield "note", note
+
+
+def _block_facts(profile: RegisterMap, block: Block) -> Iterator[tuple[str, str]]:
+    when = "at every poll" if block in profile.samples else "when recording starts"
+    last = block.address + block.count - 1
+    words = f"{block.count} {block.table.replace('_', ' ')}"
+    yield "block", f"{block.name}: {words} {block.address}-{last}, read {when}"
+    if block.trigger is not None:
+        flag = block.address + block.trigger.flag
+        payload = ", ".join(
+            _span(block.address + first, words) for first, words in block.trigger.payload
+        )
+        new, clear = block.trigger.new, block.trigger.clear
+        yield "trigger", f"register {flag} is {new} when there is a sample; {clear} clears it"
+        yield "payload", f"registers {payload}: a change is another sample"
+    if block.time is not None:
+        time = block.time
+        offsets = (time.year, time.month_day, time.hour, time.minute_second)
+        addresses = ", ".join(str(block.address + offset) for offset in offsets)
+        yield "time", f"year, month/day, hour, minute/second in registers {addresses}"
+
+
+def _span(address: int, words: int) -> str:
+    return str(address) if words == 1 else f"{address}-{address + words - 1}"
+
+
+def _row(block: Block, point: Point) -> tuple[str, ...]:
+    meanings = [f"{value} = {text}" for value, text in point.meanings]
+    bits = [f"bit {bit} {text}" for bit, text in point.bits]
+    return (
+        str(block.address + point.offset),
+        str(point.size),
+        point.name,
+        point.type.value,
+        "" if point.scale is None else str(point.scale),
+        point.unit,
+        "" if point.low is None else f"{point.low} to {point.high}",
+        point.title,
+        ", ".join(meanings + bits),
+    )
+
+
+def _serial(profile: RegisterMap) -> str:
+    serial = profile.serial
+    return f"{serial.baudrate} Bd {serial.bytesize}{serial.parity}{serial.stopbits}"
+
+
+def _print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    if sys.stdout.isatty():
+        _print_rich(headings, rows)
+        return
+    widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
+    for row in (headings, *rows):
+        cells = [
+            cell.rjust(width) if heading in _NUMERIC else cell.ljust(width)
+            for heading, cell, width in zip(headings, row, widths, strict=True)
+        ]
+        click.echo("  ".join(cells).rstrip())
+
+
+def _print_rich(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.console import Console  # noqa: PLC0415 - not needed in pipes
+    from rich.table import Table  # noqa: PLC0415
+    from rich.text import Text  # noqa: PLC0415
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading in _NUMERIC else "left")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    Console().print(table)
+
+
+def _profile_object(profile: RegisterMap, *, blocks: bool) -> dict[str, object]:
+    serial = profile.serial
+    found: dict[str, object] = {
+        "name": profile.name,
+        "title": profile.title,
+        "source": profile.source,
+        "unit_id": profile.unit,
+        "serial": {
+            "baudrate": serial.baudrate,
+            "bytesize": serial.bytesize,
+            "parity": serial.parity,
+            "stopbits": serial.stopbits,
+            "silence_characters": serial.silence_characters,
+        },
+        "answer_limit_ns": profile.answer_limit,
+    }
+    if blocks:
+        found["blocks"] = [_block_object(profile, block) for block in profile.blocks]
+    return found
+
+
+def _block_object(profile: RegisterMap, block: Block) -> dict[str, object]:
+    trigger = block.trigger
+    return {
+        "name": block.name,
+        "title": block.title,
+        "table": block.table.value,
+        "address": block.address,
+        "count": block.count,
+        "sample": block in profile.samples,
+        "trigger": None
+        if trigger is None
+        else {
+            "address": block.address + trigger.flag,
+            "new": trigger.new,
+            "clear": trigger.clear,
+        },
+        "points": [_point_object(block, point) for point in block.points],
+    }
+
+
+def _point_object(block: Block, point: Point) -> dict[str, object]:
+    return {
+        "name": point.name,
+        "address": block.address + point.offset,
+        "words": point.size,
+        "type": point.type.value,
+        "scale": None if point.scale is None else float(point.scale),
+        "unit": point.unit,
+        "low": None if point.low is None else float(point.low),
+        "high": None if point.high is None else float(point.high),
+        "meanings": {str(value): text for value, text in point.meanings},
+        "bits": {str(bit): name for bit, name in point.bits},
+        "title": point.title,
+    }

@@ -1,0 +1,109 @@
+"""``roclog read``."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from roclog.errors import DeviceError
+from roclog.quantities import format_instant
+
+if TYPE_CHECKING:
+    from roclog.decode import Value
+    from roclog.probe import BlockRead
+    from roclog.register_map import Point
+
+
+@click.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@click.argument("device")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def read(config: Path, device: str, *, as_json: bool) -> None:
+    """Read every block of DEVICE once and print it decoded. Nothing is written or cleared.
+
+    \b
+    Example:
+      roclog read roclog.toml roc1
+    """
+    from roclog.clock import SystemClock  # noqa: PLC0415
+    from roclog.config import load  # noqa: PLC0415
+    from roclog.probe import read_device  # noqa: PLC0415
+
+    settings = load(config)
+    if device not in settings.devices:
+        known = ", ".join(settings.devices)
+        raise click.UsageError(f"{config} has no device {device!r}; it has {known}")
+    blocks = asyncio.run(read_device(settings, device, SystemClock()))
+    if as_json:
+        click.echo(json.dumps(_as_object(device, blocks)))
+    else:
+        for block in blocks:
+            _print_block(block)
+    if all(block.decoded is None for block in blocks):
+        raise DeviceError(f"{device}: {blocks[0].problem}")
+
+
+def _print_block(read: BlockRead) -> None:
+    console = Console(soft_wrap=True)
+    block = read.block
+    title = f"{block.title or block.name}, from register {block.address}"
+    if read.decoded is None:
+        console.print(f"{title}: {read.problem}\n", markup=False)
+        return
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for heading in ("register", "raw", "name", "value", "unit", ""):
+        table.add_column(heading, justify="right" if heading in {"register", "raw"} else "left")
+    values = _by_name(read)
+    for index, point in enumerate(block.points):
+        raw = read.registers[point.offset : point.offset + point.size]
+        shown = " ".join(f"{word:04X}" for word in raw[:4]) + (" ..." if len(raw) > 4 else "")
+        remark = _remark(point, values)
+        if read.decoded.doubtful >> index & 1:
+            remark = f"outside the documented range {point.low} to {point.high}. {remark}"
+        address = str(block.address + point.offset)
+        value = _text(values[point.name])
+        table.add_row(address, shown, point.name, value, point.unit, remark.strip())
+    console.print(table, markup=False)
+    if read.decoded.device_time:
+        console.print(f"device time {format_instant(read.decoded.device_time)}")
+    console.print()
+
+
+def _remark(point: Point, values: dict[str, Value]) -> str:
+    set_bits = [name for _, name in point.bits if values[name]]
+    meanings = [text for value, text in point.meanings if value == values[point.name]]
+    return ", ".join(set_bits + meanings)
+
+
+def _by_name(read: BlockRead) -> dict[str, Value]:
+    from roclog.decode import field_names  # noqa: PLC0415
+
+    if read.decoded is None:
+        return {}
+    return dict(zip(field_names(read.block), read.decoded.values, strict=True))
+
+
+def _text(value: Value) -> str:
+    """Device strings come from outside: control characters are shown, not obeyed."""
+    if isinstance(value, str):
+        return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in value)
+    return repr(value)
+
+
+def _as_object(device: str, blocks: list[BlockRead]) -> dict[str, object]:
+    return {
+        "schema": "roclog.read/1",
+        "device": device,
+        "blocks": {
+            read.block.name: {"values": _by_name(read), "registers": list(read.registers)}
+            if read.decoded is not None
+            else {"problem": read.problem}
+            for read in blocks
+        },
+    }

@@ -1,0 +1,170 @@
+"""``roclog simulate``."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+import signal
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import click
+
+from roclog.devices import PROFILES
+from roclog.simulators import PtyEndpoint, SimulatedRoc, SimulatorServer, TcpEndpoint
+
+_SIMULATED: Final = {"hiac-roc": SimulatedRoc}
+
+
+class Wanted(NamedTuple):
+    """One device to serve."""
+
+    profile: str
+    unit: int
+
+
+def _devices(
+    _: click.Context, parameter: click.Parameter, texts: tuple[str, ...]
+) -> tuple[Wanted, ...]:
+    wanted = []
+    for text in texts:
+        profile, colon, unit = text.partition(":")
+        if profile not in _SIMULATED:
+            known = ", ".join(_SIMULATED)
+            raise click.BadParameter(f"{profile!r} is not one of {known}", param=parameter)
+        if colon and not re.fullmatch("[0-9]{1,3}", unit):
+            raise click.BadParameter(f"{unit!r} is not a unit from 1 to 247", param=parameter)
+        wanted.append(Wanted(profile, int(unit) if colon else PROFILES[profile].unit))
+    units = [each.unit for each in wanted]
+    for each in wanted:
+        if not 1 <= each.unit <= 247:
+            raise click.BadParameter(f"{each.unit} is not a unit from 1 to 247", param=parameter)
+        if units.count(each.unit) > 1:
+            text = f"unit {each.unit} twice; write {each.profile}:139 for another one"
+            raise click.BadParameter(text, param=parameter)
+    return tuple(wanted)
+
+
+def _address(
+    _: click.Context, parameter: click.Parameter, text: str | None
+) -> tuple[str, int] | None:
+    if text is None:
+        return None
+    host, _colon, port = text.rpartition(":")
+    if not host or not re.fullmatch("[0-9]{1,5}", port) or int(port) > 65535:
+        raise click.BadParameter(f"{text!r} is not HOST:PORT", param=parameter)
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+def _positive(_: click.Context, parameter: click.Parameter, value: float) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise click.BadParameter(f"{value} is not a positive number", param=parameter)
+    return value
+
+
+@click.command()
+@click.argument("devices", metavar="PROFILE[:UNIT]...", nargs=-1, required=True, callback=_devices)
+@click.option(
+    "--tcp",
+    metavar="HOST:PORT",
+    callback=_address,
+    help="Serve Modbus TCP here; port 0 takes a free one.",
+)
+@click.option(
+    "--pty",
+    metavar="LINK",
+    type=click.Path(path_type=Path),
+    help="Serve Modbus RTU on a pseudo-terminal that clients open as LINK.",
+)
+@click.option(
+    "--speed",
+    type=float,
+    default=1.0,
+    show_default=True,
+    callback=_positive,
+    help="Seconds of the devices per second.",
+)
+@click.option(
+    "--seed", type=int, default=1, show_default=True, help="Equal seeds give equal samples."
+)
+@click.option(
+    "--truth",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write every completed sample to this CSV file; with several devices, "
+    "to one file each with the unit in its name.",
+)
+def simulate(
+    devices: tuple[Wanted, ...],
+    *,
+    tcp: tuple[str, int] | None,
+    pty: Path | None,
+    speed: float,
+    seed: int,
+    truth: Path | None,
+) -> None:
+    r"""Serve simulated devices.
+
+    Ends with SIGINT (Ctrl-C) or SIGTERM, exit code 0. UNIT is the one that the device is delivered
+    with where it is not given.
+
+    \b
+    Example:
+      roclog simulate hiac-roc hiac-roc:139 --tcp 127.0.0.1:5020 --speed 10
+    """
+    endpoint: TcpEndpoint | PtyEndpoint
+    if tcp is not None and pty is None:
+        endpoint = TcpEndpoint(*tcp)
+    elif pty is not None and tcp is None:
+        endpoint = PtyEndpoint(pty)
+    else:
+        raise click.UsageError("one of --tcp and --pty is needed")
+    with ExitStack() as files:
+        served = []
+        for wanted in devices:
+            file = None
+            if truth is not None:
+                name = truth if len(devices) == 1 else _with_unit(truth, wanted.unit)
+                file = files.enter_context(name.open("w", encoding="utf-8"))
+            served.append(_SIMULATED[wanted.profile](wanted.unit, seed=seed, truth=file))
+        asyncio.run(
+            _serve(SimulatorServer(served, endpoint, speed=speed), endpoint, devices, speed)
+        )
+
+
+def _with_unit(file: Path, unit: int) -> Path:
+    return file.with_name(f"{file.stem}-{unit}{file.suffix}")
+
+
+async def _serve(
+    server: SimulatorServer,
+    endpoint: TcpEndpoint | PtyEndpoint,
+    devices: tuple[Wanted, ...],
+    speed: float,
+) -> None:
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop.set)
+    try:
+        await server.start()
+    except OSError as error:
+        option = "--tcp" if isinstance(endpoint, TcpEndpoint) else "--pty"
+        reason = error.strerror or str(error)
+        raise click.BadParameter(f"{_place(endpoint)}: {reason}", param_hint=option) from error
+    try:
+        names = ", ".join(f"{wanted.profile} unit {wanted.unit}" for wanted in devices)
+        text = f"serving {names} on {_place(endpoint)} at speed {speed:g}, Ctrl-C ends"
+        click.echo(text, err=True)
+        await stop.wait()
+    finally:
+        await server.stop()
+
+
+def _place(endpoint: TcpEndpoint | PtyEndpoint) -> str:
+    if isinstance(endpoint, PtyEndpoint):
+        return str(endpoint.link)
+    host = f"[{endpoint.host}]" if ":" in endpoint.host else endpoint.host
+    return f"{host}:{endpoint.port}"
