@@ -21,8 +21,8 @@ from typing import NamedTuple
 import pytest
 
 from roclog import handshake
-from roclog.handshake import Memory, Note, Seen, Verdict, after_clear, judge, recover
-from roclog.schema import ClearResult
+from roclog.handshake import Memory, News, Note, Seen, Verdict, after_clear, judge, recover
+from roclog.schema import ClearResult, Origin
 
 Words = tuple[int, ...]
 Judge = Callable[[Memory, Seen], tuple[Memory, Verdict]]
@@ -114,6 +114,7 @@ class Record(NamedTuple):
     seq: int
     payload: bytes
     sample: int
+    changed: bool
     durable: bool
 
 
@@ -123,6 +124,7 @@ class Kept(NamedTuple):
     seq: int
     payload: bytes
     sample: int
+    changed: bool
 
 
 class State(NamedTuple):
@@ -145,9 +147,10 @@ class State(NamedTuple):
     clear: bool
     guarded: bool
     shaky: bool
-    # The disk. ``mark``: seq whose clear mark is there, never synced.
+    # The disk. ``mark``: seq whose clear mark is there, never synced. ``baseline``: as noted.
     disk: tuple[Record, ...]
     mark: int
+    baseline: bytes | None
     # What is left of the budgets.
     crashes: int
     losses: int
@@ -197,7 +200,8 @@ class Machine:
             begun=0, words=self.world.samples[0], flag=False, held=NOTHING, updating=False,
             raise_flag=False, torn_read=False, late_clear=False, at=At.IDLE,
             memory=self.policy.recover(0, None, cleared=True), candidate=TORN, news=(), clear=False,
-            guarded=False, shaky=True, disk=(), mark=0, crashes=self.world.crashes,
+            guarded=False, shaky=True, disk=(), mark=0,
+            baseline=None, crashes=self.world.crashes,
             losses=self.world.losses, late_clears=self.world.late_clears,
             power_ups=self.world.power_ups, read=0, excused=0, distinct=0, known_down=False,
             flagged=NOTHING,
@@ -294,7 +298,7 @@ class Machine:
         memory, verdict = self._judge(s, seen)
         candidate = memory.candidate.reading if memory.candidate else TORN
         assert isinstance(candidate, int)
-        news = tuple(Kept(n.seq, n.seen.payload, _identity(n.seen)) for n in verdict.news)
+        news = tuple(_kept(n) for n in verdict.news)
         event = self.doing = Event(Act.READ, s.words, s.flag)
         self._check_verdict(s, seen, memory, verdict)
         after = s._replace(
@@ -321,6 +325,8 @@ class Machine:
         baseline = Note.BASELINE.name in {note.name for note, _ in verdict.notes}
         if self._is_shown(s, after, verdict) and not (baseline and s.held > 0):
             after = after._replace(read=after.read | 1 << s.held)
+        if baseline:
+            after = after._replace(baseline=after.memory.payload)
         if baseline and s.held > 0 and self.world.other_master:
             after = after._replace(excused=after.excused | 1 << s.held)
         quiet = not (verdict.news or verdict.again or verdict.clear or after.memory.candidate)
@@ -392,26 +398,30 @@ class Machine:
             lost = {i for i, kept in zip(volatile, fates, strict=True) if not kept}
             old = tuple(record for i, record in enumerate(s.disk) if i not in lost)
             for new in {(), chunk}:
-                for mark in {0, s.mark}:
-                    yield self._crashed(s, old + new, mark, bool(new))
+                for mark, baseline in product({0, s.mark}, {None, s.baseline}):
+                    noted = s._replace(baseline=baseline)
+                    yield self._crashed(noted, old + new, mark, bool(new))
 
     def _crashed(self, s: State, disk: tuple[Record, ...], mark: int, chunk: bool) -> Step:
         survived = [name for name, kept in (("record", chunk), ("mark", mark)) if kept]
         how = f"survived: {', '.join(survived) or 'what was synced'}"
         event = self.doing = Event(Act.CRASH, how=how)
         self._check_disk(disk)
-        marked = bool(disk) and mark == disk[-1].seq
-        memory = self.policy.recover(0, None, cleared=True)
+        memory = self.policy.recover(0, s.baseline, cleared=True)
+        torn = s.baseline not in (None, *self.payloads)
+        cleared = False
         if disk:
-            memory = self.policy.recover(disk[-1].seq, disk[-1].payload, cleared=marked)
+            torn = disk[-1].sample <= 0
+            cleared = disk[-1].changed or mark == disk[-1].seq
+            memory = self.policy.recover(disk[-1].seq, disk[-1].payload, cleared=cleared)
         on_disk = sum(1 << sample for sample in after_reader(disk)[1])
         gone = sum(1 << j for j in self._completed(s) if not on_disk >> j & 1 and j != s.held)
         return event, s._replace(
             at=At.IDLE, memory=memory, candidate=TORN, news=(), clear=False, guarded=False,
-            torn_read=s.updating or bool(disk and disk[-1].sample <= 0), shaky=True,
+            torn_read=s.updating or torn, shaky=True,
             disk=disk, mark=mark, crashes=s.crashes - 1, read=on_disk,
-            excused=s.excused | gone, distinct=s.distinct if marked else 0,
-            known_down=s.known_down and marked, flagged=NOTHING,
+            excused=s.excused | gone, distinct=s.distinct if cleared else 0,
+            known_down=s.known_down and cleared, flagged=NOTHING,
         )  # fmt: skip
 
     # Properties.
@@ -464,6 +474,11 @@ class Machine:
         durable = {record.payload for record in s.disk if record.durable}
         if s.flagged > 0 and self.payloads[s.flagged] not in durable:
             raise PropertyError(f"sample {s.flagged} is cleared, but not committed")
+
+
+def _kept(news: News) -> Kept:
+    changed = news.origin is Origin.CHANGED
+    return Kept(news.seq, news.seen.payload, _identity(news.seen), changed)
 
 
 def _identity(seen: Seen) -> int:
@@ -522,13 +537,13 @@ IDENTICAL = (ZEROS, (5, 6), (5, 6), (5, 6))
 WORLDS = {
     "crashes": World(SHORT, crashes=2, losses=2),
     "late clears": World(SHORT, crashes=1, losses=1, late_clears=2),
-    "torn, crash": World(LONG, tears=True, crashes=1, losses=1),
+    "torn, crash": World(LONG, tears=True, crashes=1),
     "torn, power-up, stale": World(STALE, tears=True, losses=1, power_ups=1),
     "observe only": World(STALE, tears=True, crashes=1, other_master=True, acknowledge=False),
     "observe only, power-up": World(
         SHORT, crashes=2, power_ups=1, other_master=True, acknowledge=False
     ),
-    "two masters": World(SHORT, crashes=1, losses=1, power_ups=1, other_master=True),
+    "two masters": World(SHORT, crashes=1, losses=1, other_master=True),
     "identical": World(IDENTICAL, crashes=2, losses=2),
     "identical, two masters": World((*IDENTICAL, (5, 6)), losses=2, other_master=True),
     "recurring": World((ZEROS, (5, 6), (7, 8), (5, 6)), crashes=2, losses=1),

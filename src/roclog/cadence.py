@@ -9,7 +9,7 @@ follows. Where two counts are possible, both are carried until later reads rule 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Final
 
@@ -17,6 +17,8 @@ TOLERANCE: Final = 0.01
 """Part of a cycle by which a device may be early or late in one cycle."""
 _COUNTABLE: Final = 20
 """Cycles; across a longer blind spell the count of missed samples is an estimate."""
+_PATIENCE: Final = 4
+"""Samples read in time after a blind spell; what they did not decide stays possible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +32,15 @@ class _Guess:
 
 @dataclass(frozen=True, slots=True)
 class Missed:
-    """Samples that completed between two instants and were never read."""
+    """Samples that completed between two instants and were never read.
+
+    possible: no later read could decide; there may be fewer, or none.
+    """
 
     after: int
     before: int
     count: int
+    possible: bool = False
 
 
 class Cadence:
@@ -53,6 +59,7 @@ class Cadence:
         self._blind_from: int | None = None
         self._spell: tuple[int, int] | None = None
         self._reported = 0
+        self._calm = 0
 
     def quiet(self, asked_at: int) -> Missed | None:
         """A read that showed no news was asked for at ``asked_at``. Returns as ``completed``."""
@@ -68,7 +75,7 @@ class Cadence:
         ]
         if not alive:  # later than any regular device
             missed = self.close()
-            self._lose_phase()
+            self._guesses = []
             return missed
         self._guesses = alive
         return self._settle(min(guess.missed for guess in alive))
@@ -86,23 +93,33 @@ class Cadence:
             self._guesses = [_Guess(low, read_at, 0)]
             return None
         self._note_spacing((since, read_at))
+        self._calm += 1
         if read_at - since >= cycle * (1 - TOLERANCE):
+            self._calm = 0
             self._spell = (self._spell[0] if self._spell else since, read_at)
         guesses = self._step(self._guesses, since, asked_at, read_at, cycle)
         if not guesses:  # no phase yet, or none that fits
             self._reported -= max((guess.missed for guess in self._guesses), default=0)
             guesses = self._fresh(since, asked_at, read_at, cycle)
         self._guesses = guesses
-        return self._settle(min(guess.missed for guess in guesses))
+        missed = self._settle(min(guess.missed for guess in guesses))
+        return self.close() if missed is None and self._calm >= _PATIENCE else missed
 
     def close(self) -> Missed | None:
-        """What may have been missed and can no longer be ruled out."""
-        return self._settle(max((guess.missed for guess in self._guesses), default=0))
+        """What may have been missed and could not be ruled out."""
+        if not self._guesses:
+            return None
+        certain = len(self._guesses) == 1
+        most = max(guess.missed for guess in self._guesses)
+        low, high = min(g.low for g in self._guesses), max(g.high for g in self._guesses)
+        self._guesses = [_Guess(low, high, most)]
+        missed = self._settle(most)
+        return missed if missed is None or certain else replace(missed, possible=True)
 
     def forget(self) -> Missed | None:
         """The device restarted: its phase is unknown. Returns as ``close`` does."""
         missed = self.close()
-        self._lose_phase()
+        self._guesses = []
         self._previous = None
         self._blind_from = None
         return missed
@@ -129,11 +146,10 @@ class Cadence:
 
     def guarded_until(self) -> int | None:
         """Before this instant no sample after the last kept one can have completed."""
-        cycle = self.effective_cycle
-        if cycle is None or not self._guesses:
+        if self.cycle is None or self._previous is None:
             return None
-        shortest = min((cycle, *self._shortest))
-        return int(min(guess.low for guess in self._guesses) + shortest * 0.95)
+        shortest = min(self.cycle, self.effective_cycle or self.cycle, *self._shortest)
+        return int(self._previous[0] + shortest * 0.95)
 
     def overdue(self, asked_at: int) -> bool:
         """Whether a sample should have shown by ``asked_at``, by more than half a cycle."""
@@ -150,11 +166,6 @@ class Cadence:
             if high < self.cycle * (1 - TOLERANCE):
                 self._shortest.append(max(0, low))
         self._previous = window
-
-    def _lose_phase(self) -> None:
-        self._guesses = []
-        self._spell = None
-        self._reported = 0
 
     def _step(
         self, guesses: list[_Guess], since: int, asked_at: int, read_at: int, cycle: int

@@ -1,16 +1,16 @@
 """Every error roclog raises on purpose, by who has to act.
 
     RoclogError
-    ├── ConfigError              the user edits the file; holds every problem found, with its key path
-    ├── RegisterMapError         the author of a register map; holds every problem found
+    ├── ConfigError              the user edits the file; every problem found, with its key path
+    ├── RegisterMapError         the author of a register map; every problem found
     ├── DeviceError              the line or the device
     │   ├── LinkDown             the port or the connection is not there (also ConnectionError)
-    │   ├── NoAnswer             time-out; the write may have taken effect (also TimeoutError)
+    │   ├── NoAnswer             time-out; a write may have taken effect (also TimeoutError)
     │   ├── WrongAnswer          an intact answer that does not fit the request
     │   └── ExceptionAnswer      the device refused, with its Modbus exception code
     ├── WriteRefused             roclog itself refused to send a write that no profile declares
     ├── StorageError             the disk: full, read-only, failing (also OSError)
-    └── DamagedFile              a recording that fails a checksum or its format; names file and offset
+    └── DamagedFile              a recording that fails a checksum or its format, and where
 
 Wrong arguments from a calling program are plain ValueError.
 """

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 from roclog.bus.bus import TooLate
 from roclog.cadence import Cadence, Missed
-from roclog.clock import Instant
 from roclog.errors import DeviceError, ExceptionAnswer
 from roclog.handshake import Memory, Note, Seen, Verdict, after_clear, judge
 from roclog.modbus.request import ReadRegisters, WriteRegister, words
@@ -17,7 +16,7 @@ from roclog.schema import ClearResult, Reason
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
     from roclog.bus.tally import Tally
-    from roclog.clock import Clock
+    from roclog.clock import Clock, Instant
     from roclog.outbox import Outbox
     from roclog.register_map import Block, FlagAndClear
 
@@ -70,6 +69,11 @@ class FlaggedBlock:
         self._certain_before = 0
         self._overdue = False
         self._odd_flag_told = False
+
+    @property
+    def samples(self) -> int:
+        """Number of the last sample; earlier runs count."""
+        return self._memory.seq
 
     async def turn(self) -> None:
         """One poll, up to the clear.

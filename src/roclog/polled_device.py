@@ -6,7 +6,6 @@ import asyncio
 import json
 from typing import TYPE_CHECKING, Any, Final
 
-from roclog.bus.tally import Tally
 from roclog.decode import Value, decode, field_names, word_order_doubts
 from roclog.errors import DeviceError, ExceptionAnswer, LinkDown
 from roclog.modbus.request import ReadRegisters, words
@@ -15,6 +14,7 @@ from roclog.schema import Reason
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
+    from roclog.bus.tally import Tally
     from roclog.clock import Clock
     from roclog.config.settings import Device
     from roclog.outbox import Outbox
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from roclog.samples import Reading, SampleMaker
 
 _LINK_PERIOD: Final = 60 * 10**9
+_FACTS_PAUSE: Final = 10 * 10**9
 _ABSENT: Final = 60 * 10**9
 """After this long without an answer another device may stand there: the facts are read again."""
 
@@ -50,7 +51,6 @@ class PolledDevice:
         self.device = device
         self.outbox = outbox
         self.facts: dict[str, dict[str, Value]] = {}
-        self.answers = 0
         self._bus = bus
         self._tally = tally
         self._block = block
@@ -59,12 +59,20 @@ class PolledDevice:
         self._clock = clock
         self._alive_until = alive_until
         self._facts_due = True
+        self._facts_after = 0
         self._trouble = ""
+        self._failures = 0
         self._silent_since: int | None = None
         self._link_since = clock.now()
         self._doubt_told = False
         self._live: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())
         self._live_told: set[str] = set()
+        self._set_cycle()
+
+    @property
+    def samples(self) -> int:
+        """Number of the last sample."""
+        return self._block.samples
 
     async def run(self) -> None:
         """Poll without drift; a poll that is late by more than a period is left out."""
@@ -85,32 +93,28 @@ class PolledDevice:
         self._report_link(_LINK_PERIOD)
 
     async def _poll(self) -> None:
+        """One attempt; a device that does not answer costs one time-out."""
         try:
-            if self._facts_due:
+            if self._facts_due and self._clock.now().monotonic >= self._facts_after:
                 await self._read_facts()
             await self._block.turn()
         except DeviceError as error:
             self._tell_trouble(error)
             return
-        self.answers += 1
         self._tell_recovery()
         self._watch(self._block.last)
 
     async def _read_facts(self) -> None:
-        self._facts_due = False
+        """Identity and configuration. One that is not answered is asked for again later."""
+        self._facts_after = self._clock.now().monotonic + _FACTS_PAUSE
         for block in self.device.profile.facts:
             try:
                 self.facts[block.name] = await self._read_fact(block)
             except ExceptionAnswer as refusal:
                 self.outbox.event("warning", "facts", f"{block.name} block: {refusal}")
-            except LinkDown:
-                self._facts_due = True
-                raise
-            except DeviceError:
-                self._facts_due = True
+        self._facts_due = False
         self._set_cycle()
-        if self.facts:
-            self._describe()
+        self._describe()
 
     async def _read_fact(self, block: Block) -> dict[str, Value]:
         request = ReadRegisters(block.table.read_function, block.address, block.count)
@@ -192,15 +196,18 @@ class PolledDevice:
         self.outbox.event("info", "live", f"{name} is {values[name]} without a new sample")
 
     def _tell_trouble(self, error: DeviceError) -> None:
-        now = self._clock.now().monotonic
+        """A single failure is counted; the second in a row, or a lost link, is an event."""
+        self._failures += 1
         if self._silent_since is None:
-            self._silent_since = now
+            self._silent_since = self._clock.now().monotonic
+        if isinstance(error, LinkDown):
+            self._facts_due = True
+        elif self._failures < 2:
+            return
         kind = type(error).__name__
         if kind != self._trouble:
             self._trouble = kind
             self.outbox.event("warning", "link", str(error))
-        if isinstance(error, LinkDown):
-            self._facts_due = True
 
     def _tell_recovery(self) -> None:
         if self._silent_since is None:
@@ -208,8 +215,10 @@ class PolledDevice:
         silent = self._clock.now().monotonic - self._silent_since
         if silent > _ABSENT:
             self._facts_due = True
-        self.outbox.event("info", "link", f"answers again after {silent / 1e9:.1f} s")
+        if self._trouble:
+            self.outbox.event("info", "link", f"answers again after {silent / 1e9:.1f} s")
         self._silent_since = None
+        self._failures = 0
         self._trouble = ""
 
     def _report_link(self, elapsed: int) -> None:

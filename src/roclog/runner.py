@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import signal
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
+from roclog.errors import StorageError
 from roclog.service import notify
 from roclog.session import Session
 
@@ -32,24 +33,28 @@ async def record(
     with _stopping_signals(stop):
         async with Session(settings, clock) as session:
             notify("READY=1")
-            running = asyncio.create_task(session.run())
-            alive = asyncio.create_task(_prove_life(session, on_second))
+            tasks = [
+                asyncio.create_task(session.run()),
+                asyncio.create_task(_prove_life(session, on_second)),
+                asyncio.create_task(stop.wait()),
+            ]
             try:
-                async with asyncio.timeout(duration):
-                    await stop.wait()
-            except TimeoutError:
-                pass
+                await asyncio.wait(tasks, timeout=duration, return_when=asyncio.FIRST_COMPLETED)
             finally:
                 notify("STOPPING=1")
-                for task in (alive, running):
+                for task in tasks:
                     task.cancel()
-                await asyncio.gather(alive, running, return_exceptions=True)
+                ended = await asyncio.gather(*tasks, return_exceptions=True)
+        for result in ended:
+            if isinstance(result, Exception):
+                raise result
 
 
 async def _prove_life(session: Session, on_second: Callable[[Session], None] | None) -> None:
     """Once a second, and only after the writer has answered, tell the watchdog."""
     while True:
-        await session.writer_answers()
+        with suppress(StorageError):  # a disk that is full is told elsewhere; the writer is alive
+            await session.writer_answers()
         notify("WATCHDOG=1")
         if on_second is not None:
             on_second(session)

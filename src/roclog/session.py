@@ -143,13 +143,13 @@ class Session:
         recording = self.settings.recording
         limits = Limits(recording.segment_duration, recording.segment_size)
         return Writer(
-            self._directory,
-            inheritance,
-            channels(self.settings),
-            limits,
-            self._clock,
-            self._segment_facts,
-            self._sealer,
+            directory=self._directory,
+            inheritance=inheritance,
+            channels=channels(self.settings),
+            limits=limits,
+            clock=self._clock,
+            segment_facts=self._segment_facts,
+            sealer=self._sealer,
         )
 
     def _segment_facts(self, number: int) -> dict[str, str]:

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-
 @pytest.fixture
 def load_text(tmp_path: Path) -> Callable[[str], Settings]:
     """Settings of a configuration given as text."""

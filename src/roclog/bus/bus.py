@@ -100,82 +100,93 @@ class Bus:
         not_after: monotonic nanoseconds; if the turn comes later, nothing is sent.
 
         Raises:
-            WriteRefused: a write that is not permitted here; nothing was sent.
+            WriteRefused: not a read, and not a write that is permitted here; nothing was sent.
             TooLate, LinkDown, NoAnswer, WrongAnswer, ExceptionAnswer.
         """
-        if isinstance(request, WriteRegister):
-            self._check_write(unit, request)
+        self._check_permitted(unit, request.pdu)
         async with self._turn:
-            await self._ensure_open(tally)
-            await self._wait_for_silence()
-            if not_after is not None and self._clock.now().monotonic > not_after:
-                raise TooLate(f"{self.link.name} was busy")
-            started = self._clock.now().monotonic
             try:
+                await self._ensure_open()
+                await self._wait_for_line()
+                if not_after is not None and self._now() > not_after:
+                    raise TooLate(f"{self.link.name} was busy")
                 return await self._exchange_once(unit, request, tally)
             finally:
-                self._exchange = None
-                self._waiter = None
-                tally.busy += self._clock.now().monotonic - started
-                tally.discarded_octets += self._stray
-                self._stray = 0
+                self._settle(tally)
 
     def close(self) -> None:
         """Close the link; a later transaction opens it again."""
-        self._opened = False
         self.link.close()
+        self._opened = False
+        self._fail_waiter("closed")
 
-    def _check_write(self, unit: int, request: WriteRegister) -> None:
-        if (unit, request.address, request.value) not in self._permitted:
+    def _now(self) -> int:
+        return self._clock.now().monotonic
+
+    def _check_permitted(self, unit: int, pdu: bytes) -> None:
+        """Judges the octets that would leave, whatever the request calls itself."""
+        if pdu[0] in _READS:
+            return
+        address, value = struct.unpack(">HH", pdu[1:5]) if pdu[0] == 6 else (None, None)
+        if len(pdu) != 5 or (unit, address, value) not in self._permitted:
             raise WriteRefused(
-                f"{self.link.name} unit {unit}: writing {request.value} to register "
-                f"{request.address} is not the profile's acknowledgement"
+                f"{self.link.name} unit {unit}: function {pdu[0]} with {pdu[1:].hex(' ')} is not "
+                f"the profile's acknowledgement"
             )
 
-    async def _ensure_open(self, tally: Tally) -> None:
+    async def _ensure_open(self) -> None:
         if self._opened:
             return
-        if self._clock.now().monotonic < self._retry_after:
-            raise LinkDown(f"{self.link.name} is not open, next attempt soon")
+        if self._now() < self._retry_after:
+            raise LinkDown(f"{self.link.name} is not open, next attempt soon: {self._trouble}")
+        self.echo = Echo.UNKNOWN
+        self._stream = MbapStream()
         try:
             await self.link.open(self._receive, self._lost)
         except OSError as error:
-            tally.link_losses += 1
-            self._retry_after = self._clock.now().monotonic + self._retry_delay
+            self._losses += 1
+            self._trouble = _reason(error)
+            raise LinkDown(f"{self.link.name} cannot be opened: {self._trouble}") from error
+        finally:
+            self._retry_after = self._now() + self._retry_delay
             self._retry_delay = min(2 * self._retry_delay, _LAST_RETRY)
-            raise LinkDown(f"{self.link.name} cannot be opened: {_reason(error)}") from error
         self._opened = True
-        self._retry_delay = _FIRST_RETRY
-        self._quiet_since = self._clock.now().monotonic
+        self._quiet_since = max(self._quiet_since, self._now())
 
-    async def _wait_for_silence(self) -> None:
-        limit = self._clock.now().monotonic + (self.timing.late_answer or 0)
-        while (now := self._clock.now().monotonic) < self._quiet_since + self.timing.silence:
-            if now > limit:
-                raise NoAnswer(f"{self.link.name}: the line is never silent")
-            await asyncio.sleep((self._quiet_since + self.timing.silence - now) / 1e9)
+    async def _wait_for_line(self) -> None:
+        """Until no old answer can come any more and the line has been silent long enough."""
+        await self._sleep_until(self._owed_until)
+        limit = self._now() + (self.timing.late_answer or 0) + self.timing.silence
+        while self._now() < (free := self._quiet_since + self.timing.silence):
+            if self._now() > limit:
+                raise NoAnswer(f"{self.link.name}: the line is never silent, nothing was sent")
+            await self._sleep_until(free)
         if not self._opened:
-            raise LinkDown(f"{self.link.name} was lost")
+            raise LinkDown(f"{self.link.name} was lost: {self._trouble}")
+
+    async def _sleep_until(self, instant: int) -> None:
+        while (left := instant - self._now()) > 0:
+            await asyncio.sleep(left / 1e9)
 
     async def _exchange_once(self, unit: int, request: Request, tally: Tally) -> Answer:
         exchange = self._new_exchange(unit, request)
-        waiter = asyncio.get_running_loop().create_future()
-        self._exchange, self._waiter = exchange, waiter
         asked = self._clock.now()
-        tally.requests += 1
+        sent = asked.monotonic + len(exchange.adu) * self.timing.character
+        self._quiet_since = max(self._quiet_since, sent)
+        if self.timing.late_answer is not None:
+            latest = asked.monotonic + self.timing.late_answer
+            self._owed_until = max(latest, sent + self.timing.timeout)
         try:
             self.link.send(exchange.adu)
         except OSError as error:
-            self._drop(tally)
+            self._give_up(_reason(error))
             raise LinkDown(f"{self.link.name}: {_reason(error)}") from error
-        sent = asked.monotonic + len(exchange.adu) * self.timing.character
-        self._quiet_since = max(self._quiet_since, sent)
+        tally.requests += 1
+        waiter = asyncio.get_running_loop().create_future()
+        self._exchange, self._waiter = exchange, waiter
         try:
-            pdu, read = await self._wait_for_answer(waiter, asked, sent, tally)
+            pdu, read = await self._wait_for_answer(exchange, waiter, sent, tally)
             check_answer(request, pdu)
-        except LinkDown:
-            self._drop(tally)
-            raise
         except ExceptionAnswer as refusal:
             tally.count_exception(refusal.code)
             raise
@@ -185,67 +196,95 @@ class Bus:
         except NoAnswer as silence:
             raise self._explain(exchange, silence, tally) from None
         finally:
-            if isinstance(exchange, RtuExchange):
-                self.echo = exchange.echo
-                tally.discarded_octets += len(exchange.leftover)
+            tally.busy += self._now() - asked.monotonic
         tally.count_answer(read.monotonic - asked.monotonic)
         return Answer(pdu, asked, read)
 
     async def _wait_for_answer(
-        self, waiter: asyncio.Future[tuple[bytes, Instant]], asked: Instant, sent: int, tally: Tally
-    ) -> tuple[bytes, Instant]:
-        deadline = sent + self.timing.timeout
-        if await self._wait(waiter, deadline):
+        self, exchange: _Exchange, waiter: asyncio.Future[_Heard], sent: int, tally: Tally
+    ) -> _Heard:
+        if await self._wait(waiter, sent + self.timing.timeout):
             return waiter.result()
         tally.timeouts += 1
-        if self.timing.late_answer is not None:
-            latest = max(deadline, asked.monotonic + self.timing.late_answer)
-            if await self._wait(waiter, latest):
+        if isinstance(exchange, RtuExchange):
+            await self._wait(waiter, self._owed_until)
+            pdu = None if waiter.done() else exchange.conclude()
+            heard = waiter.result() if pdu is None and waiter.done() else None
+            if pdu is not None:
+                heard = pdu, self._last_heard
+            if heard is not None:
                 tally.late_answers += 1
-                return waiter.result()
+                return heard
         raise NoAnswer(f"{self.link.name}: no answer within {self.timing.timeout / 1e6:g} ms")
 
-    async def _wait(self, waiter: asyncio.Future[tuple[bytes, Instant]], deadline: int) -> bool:
-        left = deadline - self._clock.now().monotonic
-        if not waiter.done() and left > 0:
+    async def _wait(self, waiter: asyncio.Future[_Heard], deadline: int) -> bool:
+        while not waiter.done() and (left := deadline - self._now()) > 0:
             await asyncio.wait((waiter,), timeout=left / 1e9)
         return waiter.done()
 
-    def _new_exchange(self, unit: int, request: Request) -> RtuExchange | MbapExchange:
+    def _new_exchange(self, unit: int, request: Request) -> _Exchange:
         if self.timing.late_answer is not None:
             return RtuExchange(unit, request, self.echo)
         self._transaction = self._transaction % 0xFFFF + 1
-        return MbapExchange(unit, request, self._transaction)
+        return MbapExchange(unit, request, self._transaction, self._stream)
+
+    def _settle(self, tally: Tally) -> None:
+        """The transaction is over, however it ended."""
+        exchange, self._exchange, self._waiter = self._exchange, None, None
+        if isinstance(exchange, RtuExchange):
+            self.echo = exchange.echo
+            tally.discarded_octets += len(exchange.leftover)
+        elif exchange is not None:
+            tally.late_answers += exchange.stale
+        tally.discarded_octets += self._stray
+        tally.late_answers += self._stale
+        tally.link_losses += self._losses
+        self._stray = self._stale = self._losses = 0
 
     def _receive(self, octets: bytes) -> None:
-        now = self._clock.now()
+        self._last_heard = now = self._clock.now()
         self._quiet_since = max(self._quiet_since, now.monotonic)
         exchange, waiter = self._exchange, self._waiter
-        if exchange is None or waiter is None or waiter.done():
+        try:
+            if exchange is None or waiter is None or waiter.done():
+                self._discard(octets)
+                return
+            pdu = exchange.feed(octets)
+        except LinkDown as error:
+            self._give_up(str(error))
+        except Exception as error:  # noqa: BLE001 - raised where the answer is waited for
+            if waiter is not None:
+                waiter.set_exception(error)
+        else:
+            if pdu is not None:
+                self._owed_until = self._retry_after = 0
+                self._retry_delay = _FIRST_RETRY
+                waiter.set_result((pdu, now))
+
+    def _discard(self, octets: bytes) -> None:
+        """Nobody waits for this: noise on a serial line, late answers on TCP."""
+        if self.timing.late_answer is not None:
             self._stray += len(octets)
             return
-        try:
-            pdu = exchange.feed(octets)
-        except DeviceError as error:
-            waiter.set_exception(error)
-            return
-        if pdu is not None:
-            waiter.set_result((pdu, now))
-        elif isinstance(exchange, RtuExchange) and exchange.damaged:
-            waiter.set_exception(NoAnswer(f"{self.link.name}: the answer was damaged"))
+        self._stream.receive(octets)
+        while self._stream.next_frame() is not None:
+            self._stale += 1
 
     def _lost(self, reason: str) -> None:
         self._opened = False
+        self._losses += 1
+        self._trouble = reason
+        self._fail_waiter(reason)
+
+    def _give_up(self, reason: str) -> None:
+        self.link.close()
+        self._lost(reason)
+
+    def _fail_waiter(self, reason: str) -> None:
         if self._waiter is not None and not self._waiter.done():
             self._waiter.set_exception(LinkDown(f"{self.link.name}: {reason}"))
 
-    def _drop(self, tally: Tally) -> None:
-        tally.link_losses += 1
-        self.close()
-
-    def _explain(
-        self, exchange: RtuExchange | MbapExchange, silence: NoAnswer, tally: Tally
-    ) -> DeviceError:
+    def _explain(self, exchange: _Exchange, silence: NoAnswer, tally: Tally) -> DeviceError:
         if isinstance(exchange, MbapExchange) or not exchange.leftover:
             return silence
         octets = exchange.leftover

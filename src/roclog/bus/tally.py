@@ -7,7 +7,18 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class Tally:
-    """Counters since the last ``LINK`` message; times in nanoseconds."""
+    """Counters since the last ``LINK`` message; times in nanoseconds.
+
+    requests: handed to the line. Each ends as one of answers, exceptions, wrong_answers, a time-out
+    without a late answer, or a lost link.
+    timeouts: no whole answer in time, late answers included.
+    late_answers: came after their time-out; on RTU still used, on TCP dropped by their number.
+    crc_errors: time-outs of RTU in which something unreadable had come.
+    wrong_answers: whole frames that do not answer the request.
+    discarded_octets: on RTU, beside answers and echoes.
+    link_losses: links that went away or could not be opened.
+    busy: from the request until the line was free again.
+    """
 
     requests: int = 0
     answers: int = 0

@@ -20,41 +20,73 @@ class TcpLink:
     def __init__(self, host: str, port: int) -> None:
         self.host = host
         self.port = port
-        self._transport: asyncio.Transport | None = None
+        self._stream: _Stream | None = None
 
     @property
     def name(self) -> str:
         return f"{self.host}:{self.port}"
 
     async def open(self, receive: Callable[[bytes], None], lost: Callable[[str], None]) -> None:
-        loop = asyncio.get_running_loop()
+        self.close()
+        stream = self._stream = _Stream(receive, lost)
         try:
             async with asyncio.timeout(_CONNECT_SECONDS):
-                self._transport, _ = await loop.create_connection(
-                    lambda: _Stream(receive, lost), self.host, self.port
+                await asyncio.get_running_loop().create_connection(
+                    lambda: stream, self.host, self.port
                 )
-        except TimeoutError as error:
-            raise OSError(f"no connection within {_CONNECT_SECONDS} s") from error
-        stream: socket.socket = self._transport.get_extra_info("socket")
-        stream.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            stream.watch_peer()
+        except BaseException as error:
+            self.close()
+            if isinstance(error, TimeoutError):
+                raise OSError(f"no connection within {_CONNECT_SECONDS:g} s") from error
+            if isinstance(error, UnicodeError):
+                raise OSError(f"{self.host!r} is not a host name") from error
+            raise
+
+    def send(self, octets: bytes) -> None:
+        if self._stream is None:
+            raise OSError("the connection is closed")
+        self._stream.send(octets)
+
+    def close(self) -> None:
+        if self._stream is not None:
+            self._stream.abort()
+            self._stream = None
+
+
+class _Stream(asyncio.Protocol):
+    def __init__(self, receive: Callable[[bytes], None], lost: Callable[[str], None]) -> None:
+        self._receive = receive
+        self._lost = lost
+        self._transport: asyncio.Transport | None = None
+        self._closed_here = False
+
+    def watch_peer(self) -> None:
+        """Have the system notice a peer that vanished without a word."""
+        if self._transport is None:
+            raise OSError("the connection is closed")
+        connection: socket.socket = self._transport.get_extra_info("socket")
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         if hasattr(socket, "TCP_USER_TIMEOUT"):
-            stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _USER_TIMEOUT_MS)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _USER_TIMEOUT_MS)
 
     def send(self, octets: bytes) -> None:
         if self._transport is None or self._transport.is_closing():
             raise OSError("the connection is closed")
         self._transport.write(octets)
 
-    def close(self) -> None:
+    def abort(self) -> None:
+        self._closed_here = True
         if self._transport is not None:
             self._transport.abort()
-            self._transport = None
 
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
 
-class _Stream(asyncio.Protocol):
-    def __init__(self, receive: Callable[[bytes], None], lost: Callable[[str], None]) -> None:
-        self.data_received = receive  # type: ignore[method-assign]
-        self._lost = lost
+    def data_received(self, data: bytes) -> None:
+        self._receive(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._lost(str(exc) if exc else "the peer closed the connection")
+        if not self._closed_here:
+            self._lost(str(exc) if exc else "the peer closed the connection")

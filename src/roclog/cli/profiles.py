@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import click
 
@@ -146,9 +146,10 @@ def _print_rich(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in headings:
-        table.add_column(heading, justify="right" if heading in _NUMERIC else "left")
+        justify: Literal["left", "right"] = "right" if heading in _NUMERIC else "left"
+        table.add_column(heading, justify=justify, overflow="fold")
     for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(cell.replace(", bit ", "\nbit ")) for cell in row))
     Console().print(table)
 
 

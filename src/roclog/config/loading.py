@@ -107,7 +107,8 @@ def _read_connections(file: dict[str, Any], problems: Problems) -> Iterator[tupl
             continue
         transport = table.get("transport")
         if isinstance(transport, str) and transport in _TRANSPORTS:
-            yield name, read_table(_TRANSPORTS[transport], table, key, problems)
+            own = _without_foreign_keys(transport, table, key, problems)
+            yield name, read_table(_TRANSPORTS[transport], own, key, problems)
         elif "transport" not in table:
             problems.add(f"{key}.transport", 'missing, needed is "rtu" or "tcp"')
             allowed = {"transport", *Rtu.__struct_fields__, *Tcp.__struct_fields__}
@@ -118,6 +119,17 @@ def _read_connections(file: dict[str, Any], problems: Problems) -> Iterator[tupl
         else:
             hint = suggestion(transport, _TRANSPORTS) if isinstance(transport, str) else ""
             problems.add(f"{key}.transport", f'{shown(transport)} is not "rtu" or "tcp"{hint}')
+
+
+def _without_foreign_keys(
+    transport: str, table: dict[str, Any], key: str, problems: Problems
+) -> dict[str, Any]:
+    kind, (other,) = _TRANSPORTS[transport], (t for t in _TRANSPORTS if t != transport)
+    foreign = set(_TRANSPORTS[other].__struct_fields__) - set(kind.__struct_fields__)
+    for name in table:
+        if name in foreign:
+            problems.add(joined(key, name), f'only with transport = "{other}"')
+    return {name: value for name, value in table.items() if name not in foreign}
 
 
 def _read_devices(file: dict[str, Any], problems: Problems) -> Iterator[tuple[str, DeviceTable]]:

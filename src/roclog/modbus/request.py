@@ -32,11 +32,23 @@ class Request(Protocol):
 
 @dataclass(frozen=True)
 class ReadRegisters:
-    """Functions 3 and 4."""
+    """Functions 3 and 4, V1.1b3 sections 6.3 and 6.4.
+
+    Raises:
+        ValueError: another function, not 1 to 125 registers, or registers that do not exist.
+    """
 
     function: int
     address: int
     count: int
+
+    def __post_init__(self) -> None:
+        if self.function not in (3, 4):
+            raise ValueError(f"function {self.function} does not read registers")
+        if not 1 <= self.count <= 125:
+            raise ValueError(f"{self.count} is not 1 to 125 registers")
+        if not 0 <= self.address <= 0x10000 - self.count:
+            raise ValueError(f"{self.count} registers from {self.address} on do not exist")
 
     @cached_property
     def pdu(self) -> bytes:
@@ -53,10 +65,18 @@ class ReadRegisters:
 
 @dataclass(frozen=True)
 class WriteRegister:
-    """Function 6; the answer echoes the request."""
+    """Function 6, V1.1b3 section 6.6; the answer echoes the request.
+
+    Raises:
+        ValueError: address or value do not fit 16 bits.
+    """
 
     address: int
     value: int
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.address <= 0xFFFF and 0 <= self.value <= 0xFFFF):
+            raise ValueError(f"register {self.address} cannot be set to {self.value}")
 
     @cached_property
     def pdu(self) -> bytes:
@@ -80,7 +100,7 @@ def check_answer(request: Request, pdu: bytes) -> None:
     if len(pdu) == 2 and pdu[0] == function | EXCEPTION_BIT:
         raise ExceptionAnswer(function, pdu[1])
     if not pdu or pdu[0] != function:
-        raise WrongAnswer(f"asked function {function}, got another", pdu)
+        raise WrongAnswer(f"this does not answer function {function}", pdu)
     if len(pdu) != request.answer_size:
         raise WrongAnswer(f"{len(pdu)} octets instead of {request.answer_size}", pdu)
     if not pdu.startswith(request.head):

@@ -2,6 +2,12 @@
 
 The length of an answer follows from its request, so a frame is recognised by its head, its length
 and its checksum wherever it begins; gaps between octets mean nothing behind a USB adapter.
+
+1. Octets are judged in order. As long as an earlier octet may still begin the echo or the answer,
+   a later one is not looked at: how the octets were cut into pieces changes nothing.
+2. Octets that look like the beginning of an answer and fail the checksum end nothing. They may have
+   been noise or a damaged echo, with the answer still to come; to ask again before it came would
+   let it pass for the next one.
 """
 
 from __future__ import annotations
@@ -10,10 +16,10 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING
 
 from roclog.modbus.library import crc
-from roclog.modbus.request import EXCEPTION_BIT, Request
+from roclog.modbus.request import EXCEPTION_BIT
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from roclog.modbus.request import Request
 
 
 class Echo(Enum):
@@ -27,42 +33,37 @@ class Echo(Enum):
 class RtuExchange:
     """Feed it octets until it returns the answer's PDU.
 
-    A read's answer cannot equal its request (5 + 2n octets against 8), a write's answer always
-    does: on a line that echoes, the first copy of a write is not its answer.
+    A read's answer cannot equal its request, a write's answer always does: unless the line is known
+    not to echo, the first copy of a write is not its answer.
     """
 
     def __init__(self, unit: int, request: Request, echo: Echo) -> None:
         body = bytes([unit]) + request.pdu
         self.adu = body + crc(body)
         self.echo = echo
-        self._head = bytes([unit]) + request.head
-        self._refusal = bytes([unit, request.pdu[0] | EXCEPTION_BIT])
-        self._size = 1 + request.answer_size + 2
-        self._answer_echoes = self._head == body
+        head = bytes([unit]) + request.head
+        refusal = bytes([unit, request.pdu[0] | EXCEPTION_BIT])
+        self._shapes = [(refusal, 5), (head, 1 + request.answer_size + 2)]
+        self._answer_is_copy = head == body
+        self._echo_due = not self._answer_is_copy or echo is not Echo.ABSENT
+        if self._echo_due:
+            self._shapes.insert(0, (self.adu, len(self.adu)))
+        self._echoed = False
         self._buffer = bytearray()
+        self._judged = 0
 
     def feed(self, octets: bytes) -> bytes | None:
         """The PDU, normal or exception, once it is whole; None while it is not."""
         self._buffer += octets
-        self._drop_echo()
-        for start, size in self._candidates():
-            frame = bytes(self._buffer[start : start + size])
-            if len(frame) == size and crc(frame[:-2]) == frame[-2:]:
-                del self._buffer[start : start + size]
-                if not self._answer_echoes and self.echo is Echo.UNKNOWN:
-                    self.echo = Echo.ABSENT
-                return frame[1:-2]
-        return None
+        return self._hunt(over=False)
 
-    @property
-    def damaged(self) -> bool:
-        """The answer came, head and length right and checksum wrong: no other will follow."""
-        start = self._buffer.find(self._head)
-        return start >= 0 and len(self._buffer) - start >= self._size
+    def conclude(self) -> bytes | None:
+        """The PDU that was held back by octets which more octets could have made an answer."""
+        return self._hunt(over=True)
 
     @property
     def leftover(self) -> bytes:
-        """Octets that belong to no answer."""
+        """Octets that belong neither to the answer nor to the echo."""
         return bytes(self._buffer)
 
     @property
@@ -70,20 +71,46 @@ class RtuExchange:
         """The leftover is a whole frame of somebody else, or one that answers another question."""
         return len(self._buffer) >= 4 and crc(self.leftover[:-2]) == self.leftover[-2:]
 
-    def _drop_echo(self) -> None:
-        if self._answer_echoes and self.echo is not Echo.PRESENT:
-            return
-        start = self._buffer.find(self.adu)
-        if start >= 0:
-            del self._buffer[start : start + len(self.adu)]
-            if self._answer_echoes:
-                self._answer_echoes = False
+    def _hunt(self, *, over: bool) -> bytes | None:
+        while (start := self._buffer.find(self.adu[0], self._judged)) >= 0:
+            self._judged = start
+            frame = self._frame_at(start, over=over)
+            if frame is None:
+                return None
+            del self._buffer[start : start + len(frame)]
+            if not frame:
+                self._judged += 1
+            elif self._echo_due and frame == self.adu:
+                self._take_echo()
             else:
-                self.echo = Echo.PRESENT
+                self._learn(start)
+                return frame[1:-2]
+        self._judged = len(self._buffer)
+        return None
 
-    def _candidates(self) -> Iterator[tuple[int, int]]:
-        for start in range(len(self._buffer)):
-            if self._buffer.startswith(self._head, start):
-                yield start, self._size
-            if self._buffer.startswith(self._refusal, start):
-                yield start, 5
+    def _frame_at(self, start: int, *, over: bool) -> bytes | None:
+        """The frame that begins here, empty where none does, None where more octets must tell."""
+        for head, size in self._shapes:
+            if not head.startswith(bytes(self._buffer[start : start + len(head)])):
+                continue
+            if len(self._buffer) - start >= size:
+                frame = bytes(self._buffer[start : start + size])
+                if crc(frame[:-2]) == frame[-2:]:
+                    return frame
+            elif not over:
+                return None
+        return b""
+
+    def _take_echo(self) -> None:
+        self._echoed = True
+        self._echo_due = False
+        del self._shapes[0]
+        if not self._answer_is_copy:
+            self.echo = Echo.PRESENT
+
+    def _learn(self, octets_before: int) -> None:
+        """More than a glitch before the answer may have been a damaged echo: nothing is learnt."""
+        if self._echoed:
+            self.echo = Echo.PRESENT
+        elif octets_before < len(self.adu) // 2:
+            self.echo = Echo.ABSENT

@@ -30,6 +30,8 @@ _LOG_FIELDS: Final = (
     ("level", 2, FieldDescriptor.TYPE_ENUM),
     ("message", 3, FieldDescriptor.TYPE_STRING),
     ("name", 4, FieldDescriptor.TYPE_STRING),
+    ("file", 5, FieldDescriptor.TYPE_STRING),
+    ("line", 6, FieldDescriptor.TYPE_FIXED32),
 )
 _MAX_READERS: Final = 1024
 
@@ -45,11 +47,6 @@ _KINDS: Final = {
     CLEAR.name: ("clear", _described(CLEAR.fields)),
     LINK.name: ("link", _described(LINK.fields[:2])),
     "foxglove.Log": ("log", _LOG_FIELDS),
-}
-_OWN_FIELDS: Final = {
-    "gap": ("from", "to", "expected", "reason"),
-    "clear": tuple(field.name for field in CLEAR.fields),
-    "log": ("level", "device", "kind", "message"),
 }
 
 
@@ -136,7 +133,7 @@ class ChannelDecoder:
             block=metadata.get("block", rest if kind != "log" else first),
             profile=metadata.get("profile", ""),
             kind=kind,
-            fields=_OWN_FIELDS.get(kind, names),
+            fields=names,
             units={k.removeprefix(unit): v for k, v in metadata.items() if k.startswith(unit)},
             flagged="payload" in metadata,
             schema=schema,
@@ -257,6 +254,8 @@ class ChannelDecoder:
             level=levels[m.level].name.lower() if m.level in levels else "unknown",
             kind=kind,
             text=m.message,
+            file=m.file,
+            line=m.line,
         )
 
 

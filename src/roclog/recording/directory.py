@@ -10,6 +10,7 @@ import fcntl
 import json
 import os
 import uuid
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +53,7 @@ class Directory:
         self.root = root
         self.hot = root / "hot"
         try:
-            self.hot.mkdir(parents=True, exist_ok=True)
+            _make_durably(self.hot)
             self._lock = os.open(root / ".lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o640)
         except OSError as error:
             raise StorageError(root, error.strerror or str(error)) from error
@@ -61,6 +62,8 @@ class Directory:
         except OSError as error:
             os.close(self._lock)
             raise StorageError(root, "another roclog is recording into this directory") from error
+        for leftover in (*root.rglob("*.sealing-*"), *root.glob(".state-*")):
+            leftover.unlink(missing_ok=True)
 
     def release(self) -> None:
         os.close(self._lock)
@@ -81,10 +84,11 @@ class Directory:
             return state or Inheritance(uuid.uuid4().hex)
         number = int(newest[0]["number"])
         found = Inheritance(newest[0]["logger"], number)
-        _apply(newest[1], found)
+        with suppress(DamagedFile, OSError):  # an old file never keeps a recorder from starting
+            _apply(newest[1], found)
         if state is not None and state.number >= number:
             found.number, found.logger = state.number, state.logger
-            found.carry = {**state.carry, **_newer(found.carry, state.carry)}
+            found.carry = {**state.carry, **_at_least_as_new(found.carry, state.carry)}
             found.alive_until = max(found.alive_until, state.alive_until)
         return found
 
@@ -121,12 +125,21 @@ class Directory:
         yield from self.sealed_segments()
 
 
-def _newer(found: Carry, state: Carry) -> Carry:
-    """Topics of ``found`` that are at least as far as the state file says."""
+def _make_durably(folder: Path) -> None:
+    """Create a folder and its parents so that a power cut cannot take them away again."""
+    if folder.is_dir():
+        return
+    _make_durably(folder.parent)
+    folder.mkdir(exist_ok=True)
+    sync_directory(folder.parent)
+
+
+def _at_least_as_new(found: Carry, state: Carry) -> Carry:
+    """Topics of ``found`` that are as far as the state file or farther."""
     return {
         topic: carry
         for topic, carry in found.items()
-        if topic not in state or carry["seq"] > state[topic]["seq"]
+        if topic not in state or carry["seq"] >= state[topic]["seq"]
     }
 
 
@@ -155,7 +168,9 @@ def _apply(path: Path, state: Inheritance) -> None:
                 channels[channel.id] = channel
             case Message() as message:
                 state.alive_until = max(state.alive_until, message.log_time)
-                _apply_message(channels[message.channel_id], message.data, state.carry)
+                channel = channels.get(message.channel_id)
+                if channel is not None:
+                    _apply_message(channel, message.data, state.carry)
 
 
 def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:

@@ -218,6 +218,11 @@ class Recording:
         self._pass = reading = _Pass(self._segments, choose, _instant(start), _instant(end))
         return self._read(reading)
 
+    def chosen_channels(self, channel: Patterns = None) -> dict[str, Channel]:
+        """Those that match and can be decoded, by topic. Raises ValueError: no such topic."""
+        choose = self._topics.selection(channel, None, None)
+        return {t: c for t, c in sorted(self.channels.items()) if choose(c) and not c.problem}
+
     def _look(self) -> None:
         known = {segment.path: segment for segment in self._segments}
         self._segments = list_segments(self._paths, known, self._topics.define)
@@ -244,7 +249,12 @@ class Recording:
 
     def _open_segment(self, reading: _Pass, segment: Segment) -> Iterator[Record]:
         file = SegmentReader(
-            segment, self._readers, reading.choose, start=reading.start, end=reading.end
+            segment,
+            self._readers,
+            self._topics.channels,
+            reading.choose,
+            start=reading.start,
+            end=reading.end,
         )
         try:
             for decoded in file:
@@ -280,7 +290,9 @@ class Recording:
         here = {one.path: n for n, one in enumerate(reading.segments)}.get(segment.path)
         earlier = reading.segments[: None if here is None else here + 1]
         for one in reversed(earlier):
-            reader = SegmentReader(one, self._readers, lambda c: c.topic == wanted.topic)
+            reader = SegmentReader(
+                one, self._readers, self._topics.channels, lambda c: c.topic == wanted.topic
+            )
             for found in reader:
                 record = found.record
                 if isinstance(record, Sample) and (record.epoch, record.seq) == key:

@@ -108,6 +108,12 @@ class Event:
     level: str
     kind: str
     text: str
+    file: str = ""
+    line: int = 0
+
+    @property
+    def name(self) -> str:
+        return f"{self.device}.{self.kind}" if self.device else self.kind
 
 
 Record = Sample | Gap | Clear | Link | Event

@@ -7,6 +7,7 @@ afterwards. What the hot one cannot give back (a torn tail) is counted in the se
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from roclog.errors import DamagedFile
 from roclog.recording.entries import intact, protected
-from roclog.recording.scan import Scan
+from roclog.recording.scan import MAGIC, Scan
 from roclog.recording.segment import sync_directory
 
 if TYPE_CHECKING:
@@ -26,21 +27,36 @@ SEGMENT_METADATA: Final = "roclog.segment"
 SEALED_METADATA: Final = "roclog.sealed"
 
 
+@dataclass(frozen=True, slots=True)
+class _Survey:
+    """Latest metadata of each name, and what of the file cannot be used."""
+
+    metadata: dict[str, dict[str, str]]
+    dropped: int
+    reason: str
+    inside: bool
+    """The damage is not (only) an unfinished tail."""
+
+
 def seal(hot: Path, root: Path) -> Path:
     """Write the sealed copy of ``hot`` below ``root``, then remove ``hot``. Returns the copy.
 
+    A hot segment that is damaged elsewhere than at its end stays beside, as ``.damaged``.
+
     Raises:
-        DamagedFile: not even the head of the segment is readable; the file is left alone.
+        DamagedFile: the head of the segment is not readable; the file is left alone.
         OSError: the disk; the hot segment is still there.
     """
-    metadata, dropped, reason = _survey(hot)
-    segment = metadata.get(SEGMENT_METADATA)
+    survey = _survey(hot)
+    segment = survey.metadata.get(SEGMENT_METADATA)
     if segment is None:
-        raise DamagedFile(hot, 8, "the head of the segment is not readable")
+        raise DamagedFile(hot, len(MAGIC), "the head of the segment is not readable")
     target = root / _sealed_name(int(segment["opened_at"]), int(segment["number"]))
     target.parent.mkdir(parents=True, exist_ok=True)
-    if dropped:
-        metadata[SEALED_METADATA] = protected({"dropped_octets": str(dropped), "reason": reason})
+    metadata = survey.metadata
+    if survey.dropped:
+        facts = {"dropped_octets": str(survey.dropped), "reason": survey.reason}
+        metadata[SEALED_METADATA] = protected(facts)
     temporary = target.with_suffix(f".sealing-{os.getpid()}")
     try:
         with temporary.open("wb") as file:
@@ -54,23 +70,33 @@ def seal(hot: Path, root: Path) -> Path:
         sync_directory(folder)
         if folder == root:
             break
-    hot.unlink()
+    if survey.inside:
+        hot.rename(hot.with_suffix(".damaged"))
+    else:
+        hot.unlink()
     sync_directory(hot.parent)
     return target
 
 
-def _survey(hot: Path) -> tuple[dict[str, dict[str, str]], int, str]:
-    """Latest metadata of each name, octets that cannot be used, and the first reason."""
+def _survey(hot: Path) -> _Survey:
     scan = Scan(hot)
-    metadata = {
-        found.record.name: dict(found.record.metadata)
-        for found in scan
-        if isinstance(found.record, Metadata) and intact(found.record.metadata)
-    }
+    metadata: dict[str, dict[str, str]] = {}
+    channels: set[int] = set()
+    last_good = 0
+    for found in scan:
+        last_good = found.offset
+        match found.record:
+            case Metadata(name=name, metadata=values) if intact(values):
+                metadata[name] = dict(values)
+            case Channel(id=identifier):
+                channels.add(identifier)
+            case Message(channel_id=identifier) if identifier not in channels:
+                raise DamagedFile(hot, found.offset, "messages of an unknown channel")
     if not scan.damage:
-        return metadata, 0, ""
+        return _Survey(metadata, 0, "", inside=False)
     dropped = max(1, hot.stat().st_size - scan.octets)
-    return metadata, dropped, str(scan.damage[0].reason)
+    inside = scan.damage[0].offset < last_good
+    return _Survey(metadata, dropped, str(scan.damage[0].reason), inside)
 
 
 def _copy(hot: Path, file: Any, metadata: dict[str, dict[str, str]]) -> None:

@@ -1,4 +1,4 @@
-"""Seals finished segments beside the recording, and deletes old ones where the user asked for it."""
+"""Seals finished segments beside the recording, and deletes old ones where the user asks for it."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from roclog.recording.seal import SEALED_METADATA
 from roclog.recording.summary import read_summary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Container, Iterator, Mapping
 
     from roclog.recording.decoding import Readers
     from roclog.recording.records import Channel, Record, Segment
@@ -42,7 +42,8 @@ class Decoded(NamedTuple):
 class SegmentReader:
     """Iterate once over the records of one file.
 
-    damage: filled while iterating. metadata: the intact ``roclog.`` metadata, latest of each name.
+    listed: topics that the recording knows; others are damage. damage: filled while iterating.
+    metadata: the intact ``roclog.`` metadata, latest of each name.
 
     Raises (while iterating):
         FileNotFoundError: the file has gone; nothing was given yet.
@@ -52,6 +53,7 @@ class SegmentReader:
         self,
         segment: Segment,
         readers: Readers,
+        listed: Container[str],
         choose: Callable[[Channel], bool],
         *,
         start: int | None = None,
@@ -62,6 +64,7 @@ class SegmentReader:
         self._path = segment.path
         self._hot = segment.state == HOT
         self._readers = readers
+        self._listed = listed
         self._choose = choose
         self._scan = Scan(segment.path, start=start, end=end)
         self._schemas: dict[int, SchemaRecord] = {}
@@ -120,6 +123,9 @@ class SegmentReader:
             self._take_summary()
         schema = self._schemas.get(channel.schema_id)
         decoder = ChannelDecoder(channel, schema, self._readers)
+        if channel.topic not in self._listed:
+            self._note(offset, f"channel {channel.topic!r} is declared behind the first messages")
+            return None
         if not self._choose(decoder.channel):
             return None
         if decoder.damaged or (channel.schema_id and schema is None):

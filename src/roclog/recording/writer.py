@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from roclog.errors import StorageError
-from roclog.recording.sealer import Sealer
 from roclog.recording.segment import HotSegment
 
 if TYPE_CHECKING:
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from roclog.clock import Clock
     from roclog.recording.directory import Directory, Inheritance
     from roclog.recording.entries import ChannelInfo, Entry
+    from roclog.recording.sealer import Sealer
 
 _log = logging.getLogger(__name__)
 _STEP: Final = 10**9
@@ -57,6 +57,7 @@ class Writer:
 
     def __init__(
         self,
+        *,
         directory: Directory,
         inheritance: Inheritance,
         channels: Sequence[ChannelInfo],
@@ -77,6 +78,7 @@ class Writer:
         self._unsynced: list[Entry] = []
         self._segment: HotSegment | None = None
         self._opened_at = 0
+        self._failing = False
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         try:
             self._segment = self._open_next()
@@ -127,16 +129,19 @@ class Writer:
         try:
             self._write(jobs)
         except OSError as first:
-            _log.error("recording: %s; trying a new segment", first)
+            if not self._failing:
+                _log.error("%s: %s; trying a new segment", self._directory.root, first)
             try:
                 self._abandon()
                 self._write(jobs)
             except OSError as error:
                 self._abandon()
+                self._failing = True
                 failure = self._storage_error(error)
                 for job in jobs:
                     job.done.set_exception(failure)
                 return
+        self._failing = False
         for job in jobs:
             job.done.set_result(None)
 
@@ -216,7 +221,7 @@ class Writer:
             segment.close()
             self._directory.write_state_file(self._inheritance)
         except OSError as error:
-            _log.error("recording: closing %s: %s", segment.path, error)
+            _log.error("closing %s: %s", segment.path, error)
         self._sealer.seal(segment.path)
 
     def _storage_error(self, error: OSError) -> StorageError:

@@ -1,0 +1,165 @@
+"""``roclog demo``."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from roclog.cli.record import duration_option
+from roclog.errors import StorageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from roclog.demo import Paths
+    from roclog.session import Session
+
+
+@click.command()
+@click.option(
+    "--for",
+    "duration",
+    default="30s",
+    metavar="DURATION",
+    show_default=True,
+    callback=duration_option,
+    help="How long to record.",
+)
+@click.option(
+    "--out",
+    default=Path("roclog-demo"),
+    type=click.Path(path_type=Path, file_okay=False),
+    show_default=True,
+    help="Folder to create; if it exists, a number is put behind its name.",
+)
+def demo(duration: int, out: Path) -> None:
+    r"""Record simulated devices and show what comes out.
+
+    Three particle counters, two on one serial line (a pseudo terminal) and one behind TCP, at 30
+    times their real speed. They are recorded as real ones would be; at the end the exported CSV is
+    compared with what the simulators made. Needs no hardware, no configuration and no root.
+
+    \b
+    Example:
+      roclog demo --for 10s --out /tmp/roclog-demo
+    """
+    from roclog.demo import Paths, run_demo  # noqa: PLC0415
+
+    seconds = duration / 1e9
+    if seconds < 3:
+        raise click.UsageError("--for must be at least 3s: a simulated sample takes half a second")
+    paths = Paths(_new_folder(out))
+    logging.getLogger("roclog").addHandler(logging.NullHandler())
+    click.echo(f"simulating three particle counters and recording them for {seconds:g} s", err=True)
+    with _progress(seconds) as on_second:
+        asyncio.run(run_demo(paths, seconds, on_second))
+    exact = _report(paths)
+    if not exact:
+        raise click.ClickException("the recording differs from what the simulators made")
+
+
+def _new_folder(wanted: Path) -> Path:
+    folder = wanted
+    number = 2
+    while folder.exists():
+        folder = wanted.with_name(f"{wanted.name}-{number}")
+        number += 1
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise StorageError(folder, error.strerror or str(error)) from error
+    return folder
+
+
+@contextmanager
+def _progress(seconds: float) -> Iterator[Callable[[Session], None]]:
+    """A bar on a terminal, silence elsewhere."""
+    from rich.console import Console  # noqa: PLC0415
+    from rich.progress import BarColumn, Progress, TextColumn  # noqa: PLC0415
+
+    started = time.monotonic()
+    columns = (BarColumn(), TextColumn("{task.percentage:3.0f}%"), TextColumn("{task.description}"))
+    hidden = not sys.stderr.isatty()
+    with Progress(*columns, console=Console(stderr=True), disable=hidden) as bar:
+        task = bar.add_task("", total=seconds)
+
+        def show(session: Session) -> None:
+            count = sum(device.samples for device in session.devices)
+            elapsed = time.monotonic() - started
+            bar.update(task, completed=elapsed, description=f"{count} samples on disk")
+
+        yield show
+        bar.update(task, completed=seconds)
+
+
+def _report(paths: Paths) -> bool:
+    """Export, plot and print the table; True where every sample is as the simulator made it."""
+    from rich.console import Console  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+
+    from roclog.demo import compare  # noqa: PLC0415
+    from roclog.export import export  # noqa: PLC0415
+    from roclog.recording.reader import open_recording  # noqa: PLC0415
+
+    recording = open_recording(paths.recordings)
+    export(recording, paths.csv, "csv")
+    table = Table(box=None, pad_edge=False)
+    for heading in (
+        "device",
+        "made",
+        "recorded",
+        "identical",
+        "cleared",
+        "gaps",
+        "ISO codes 4/6/14/21",
+    ):
+        table.add_column(heading, justify="left" if heading == "device" else "right")
+    exact = True
+    for device in sorted(recording.devices):
+        made, equal = compare(paths.truth(device), paths.csv / f"{device}.sample.csv")
+        samples = list(recording.samples(device=device))
+        cleared = sum(1 for clear in recording.clears(device=device) if clear.result == "done")
+        gaps = sum(1 for _ in recording.gaps(device=device))
+        codes = " ".join(f"{samples[-1].values[f'iso_code_{n}']:.1f}" for n in range(1, 5))
+        exact = exact and made == equal == len(samples) and gaps == 0
+        row = (
+            made,
+            len(samples),
+            "yes" if made == equal == len(samples) else "NO",
+            cleared,
+            gaps,
+            codes,
+        )
+        table.add_row(device, *(str(cell) for cell in row))
+    Console().print(table)
+    _print_paths(paths, plotted=_plot(paths))
+    return exact
+
+
+def _plot(paths: Paths) -> bool:
+    try:
+        from roclog.plot import plot_samples  # noqa: PLC0415
+    except ModuleNotFoundError:
+        return False
+    from roclog.recording.reader import open_recording  # noqa: PLC0415
+
+    plot_samples(open_recording(paths.recordings), paths.plot)
+    return True
+
+
+def _print_paths(paths: Paths, *, plotted: bool) -> None:
+    click.echo()
+    click.echo(f"configuration  {paths.configuration}")
+    click.echo(f"recording      {paths.recordings}")
+    click.echo(f"CSV            {paths.csv}")
+    click.echo(f"plot           {paths.plot if plotted else 'pip install roclog[plot] draws one'}")
+    click.echo()
+    click.echo(f"next: roclog info {paths.recordings}")
+    click.echo(f"      roclog replay {paths.recordings} --speed 10 --channel '/roc1/*'")

@@ -1,0 +1,108 @@
+"""``roclog info``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from roclog.cli import output
+
+if TYPE_CHECKING:
+    from roclog.info import Info
+
+_SEGMENT: tuple[str, ...] = ("number", "state", "size", "records", "first", "last", "file")
+_CHANNEL: tuple[str, ...] = ("channel", "records", "first", "last", "message type")
+_RIGHT: tuple[str, ...] = ("number", "size", "records", "gaps", "samples", "count")
+
+
+@click.command()
+@output.paths_argument
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def info(paths: tuple[str, ...], *, as_json: bool) -> None:
+    r"""Show what recordings hold: segments, channels, gaps, copies, damage, devices, events.
+
+    PATH is a segment, a directory, or a quoted glob of them. Everything is read and checked.
+
+    \b
+    Example:
+      roclog info recordings
+    """
+    from roclog.info import as_object, summarize  # noqa: PLC0415
+    from roclog.recording.objects import to_json  # noqa: PLC0415
+
+    found = summarize(output.open_paths(paths))
+    if as_json:
+        click.echo(to_json(as_object(found)))
+    else:
+        _print_counts(found)
+        _print_devices(found)
+        _print_problems(found)
+
+
+def _print_counts(found: Info) -> None:
+    samples = found.samples
+    span = f" from {output.instant(samples.first)} to {output.instant(samples.last)}"
+    segments = f"{len(found.segments)} segment{'s' * (len(found.segments) != 1)}"
+    click.echo(f"{samples.count} samples in {segments}{span * bool(samples.count)}")
+    rows = [
+        (
+            "" if segment.number is None else str(segment.number),
+            segment.state,
+            output.size(segment.size),
+            str(extent.count),
+            output.instant(extent.first),
+            output.instant(extent.last),
+            segment.path.name,
+        )
+        for segment, extent in found.segments
+    ]
+    output.print_table("segments", _SEGMENT, rows, _RIGHT)
+    channels = [
+        (
+            topic,
+            str(found.channels[topic].count) if topic in found.channels else "0",
+            output.instant(found.channels[topic].first) if topic in found.channels else "",
+            output.instant(found.channels[topic].last) if topic in found.channels else "",
+            channel.problem or channel.schema,
+        )
+        for topic, channel in sorted(found.recording.channels.items())
+    ]
+    output.print_table("channels", _CHANNEL, channels, _RIGHT)
+
+
+def _print_devices(found: Info) -> None:
+    rows = [
+        (device.name, group, name, str(value))
+        for device in found.recording.devices.values()
+        for group, values in (
+            ("", {k: getattr(device, k) for k in ("profile", "connection", "unit")}),
+            ("identity", device.identity),
+            ("configuration", device.configuration),
+        )
+        for name, value in values.items()
+        if value not in ("", None)
+    ]
+    output.print_table("devices", ("device", "", "name", "value"), rows)
+
+
+def _print_problems(found: Info) -> None:
+    recording = found.recording
+    rows = [
+        (device, reason, str(count), str(expected))
+        for (device, reason), (count, expected) in sorted(found.gaps.items())
+    ]
+    output.print_table("gaps", ("device", "reason", "gaps", "samples"), rows, _RIGHT)
+    rows = [
+        (device, kind, level, str(count))
+        for (device, kind, level), count in sorted(found.events.items())
+    ]
+    output.print_table("events", ("device", "kind", "level", "count"), rows, _RIGHT)
+    lines = [str(problem) for problem in recording.damage]
+    lines += [
+        f"samples {first} to {last} of {t} are missing" for t, _, first, last in recording.missing
+    ]
+    lines += [f"two samples {c.seq} of {c.topic} differ" for c in recording.conflicts]
+    output.print_table("damage", ("what",), [(line,) for line in lines])
+    if recording.dropped:
+        click.echo(f"\n{recording.dropped} copies of samples left out")

@@ -1,0 +1,150 @@
+"""Records again at the pace at which they were recorded, and as lines for people."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from roclog.quantities import format_instant
+from roclog.recording.objects import TIME_FIELDS, fields_of, kind_of
+from roclog.recording.records import Event, Sample
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+    from roclog.recording.records import Channel, Record
+
+_NUMBERED: Final = re.compile(r"(.+)_\d+")
+_UNITS: Final = {"Cel": "°C", "1/mL": "/mL", "[ppm]": "ppm", "1": ""}
+_MOST_GROUPS: Final = 6
+_SHORT: Final = {"iso_code": "ISO"}
+
+
+def paced(
+    records: Iterable[Record],
+    speed: float | None,
+    now: Callable[[], float],
+    sleep: Callable[[float], None],
+) -> Iterator[Record]:
+    """Each record when it is due: differences of log_time, divided by ``speed``.
+
+    Where the wall clock stepped back there is no wait. Waits do not add up: each is counted from
+    the first record on.
+
+    Args:
+        records: in recording order.
+        speed: above 0; None = as fast as possible.
+        now: seconds of a monotonic clock.
+        sleep: waits for seconds.
+    """
+    due = begin = previous = None
+    for record in records:
+        if speed is not None:
+            if begin is None or due is None or previous is None:
+                begin, due = now(), 0.0
+            else:
+                due += max(0, record.log_time - previous) / 1e9 / speed
+                wait = begin + due - now()
+                if wait > 0:
+                    sleep(wait)
+            previous = record.log_time
+        yield record
+
+
+class Group(NamedTuple):
+    """Fields shown together: points that are numbered alike and share a unit, or a single one."""
+
+    label: str
+    names: tuple[str, ...]
+    unit: str
+
+
+def groups(channel: Channel) -> list[Group]:
+    """The values worth a place on a line: those with a unit first, then series, then others."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for name in channel.fields:
+        unit = channel.units.get(name, "")
+        match = _NUMBERED.fullmatch(name)
+        found.setdefault((match[1] if match else name, unit), []).append(name)
+    made = [
+        Group(
+            _SHORT.get(label, (label if len(names) > 1 else names[0]).replace("_", " ")),
+            tuple(names),
+            _UNITS.get(unit, unit),
+        )
+        for (label, unit), names in found.items()
+    ]
+    main = [group for group in made if group.unit or len(group.names) > 1] or made
+    return sorted(main, key=lambda group: (group.label != "ISO", not group.unit, -len(group.names)))
+
+
+class Lines:
+    """Records as aligned lines; columns only grow, so that neighbours stand below each other."""
+
+    def __init__(self, channels: Mapping[str, Channel]) -> None:
+        self._channels = channels
+        self._groups: dict[str, list[Group]] = {}
+        self._widths: dict[tuple[str, int], int] = {}
+
+    def line(self, record: Record) -> str:
+        time = format_instant(record.log_time // 10**6 * 10**6)
+        head = [self._fit("", 0, f"{time[:19]}.{record.log_time // 10**6 % 1000:03d}Z")]
+        if isinstance(record, Sample):
+            cells = [record.device, record.block, *self._sample(record)]
+        elif isinstance(record, Event):
+            cells = [record.device or "-", record.level, f"{record.kind}: {record.text}"]
+        else:
+            cells = [record.device, kind_of(record), *_named(fields_of(record))]
+        layout = record.topic if isinstance(record, Sample) else kind_of(record)
+        for column, cell in enumerate(cells, start=1):
+            head.append(self._fit("" if column < 3 else layout, column, cell))
+        return "  ".join(head).rstrip()
+
+    def _sample(self, sample: Sample) -> Iterator[str]:
+        if sample.topic not in self._groups:
+            self._groups[sample.topic] = groups(self._channels[sample.topic])
+        shown = self._groups[sample.topic]
+        flags = [name for name, value in sample.values.items() if value is True]
+        plain = [g for g in shown if not isinstance(sample.values.get(g.names[0]), bool)]
+        for group in plain[:_MOST_GROUPS]:
+            values = [self._value(sample, name) for name in group.names]
+            unit = f" {group.unit}" if group.unit else ""
+            text = " ".join(value.rjust(self._width(group, value)) for value in values)
+            yield f"{group.label} {text}{unit}"
+        if sample.redelivered:
+            flags.append("redelivered")
+        if sample.origin == "changed":
+            flags.append("changed")
+        yield " ".join(flags)
+
+    def _value(self, sample: Sample, name: str) -> str:
+        value = sample.values.get(name)
+        doubt = "?" if name in sample.doubtful else ""
+        if value is None:
+            return "-"
+        if isinstance(value, float):
+            return f"{value:.10g}" + (".0" if value == int_or_none(value) else "") + doubt
+        return (value.hex() if isinstance(value, bytes) else str(value)) + doubt
+
+    def _width(self, group: Group, text: str) -> int:
+        key = (f"value {group.label}", 0)
+        self._widths[key] = max(self._widths.get(key, 0), len(text))
+        return self._widths[key]
+
+    def _fit(self, layout: str, column: int, text: str) -> str:
+        key = (layout, column)
+        self._widths[key] = max(self._widths.get(key, 0), len(text))
+        return text.ljust(self._widths[key])
+
+
+def int_or_none(value: float) -> int | None:
+    """The integer that a float is, if its shortest text would show no decimals."""
+    return int(value) if abs(value) < 1e9 and value == int(value) else None
+
+
+def _named(values: Mapping[str, object]) -> Iterator[str]:
+    for name, value in values.items():
+        if isinstance(value, int) and name in TIME_FIELDS:
+            yield f"{name} {format_instant(value // 10**6 * 10**6)}"
+        elif not isinstance(value, bytes) and value not in (0, False):
+            yield f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"

@@ -1,0 +1,102 @@
+"""Rows against truth: what is wrong, what is missing, what a gap record says of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from bench.document import LIVE, decode, identity
+from bench.recording import number
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from decimal import Decimal
+
+    from bench.document import Values
+    from bench.recording import Gap, Row
+    from bench.truth import Truth
+
+_MARGIN = 20_000_000
+"""Nanoseconds by which two processes may disagree on when something happened."""
+
+
+@dataclass
+class Comparison:
+    """Numbers are those of the device's samples."""
+
+    found: list[int] = field(default_factory=list)
+    missing: list[int] = field(default_factory=list)
+    twice: list[int] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+
+    @property
+    def clean(self) -> bool:
+        return not self.twice and not self.wrong
+
+
+def compare(rows: Iterable[Row], truth: Truth) -> Comparison:
+    """Every row must be a sample, whole and exact, in order, none twice."""
+    result = Comparison()
+    variants = {k: [decode(r) for r in options] for k, options in truth.variants.items()}
+    numbers: dict[tuple[Decimal, ...], list[int]] = {}
+    for k in truth.made:
+        numbers.setdefault(identity(variants[k][0]), []).append(k)
+    columns = next(iter(variants.values()))[0] if variants else {}
+    last = 0
+    for row in rows:
+        values = {name: number(row[name]) for name in columns}
+        candidates = numbers.get(identity(values), [])
+        k = next((k for k in candidates if k > last), None)
+        if k is None:
+            if candidates:
+                result.twice.append(candidates[-1])
+            else:
+                result.wrong.append(f"no such sample: {row}")
+            continue
+        last = k
+        result.found.append(k)
+        if not any(_equal(values, option) for option in variants[k]):
+            result.wrong.append(f"sample {k}: {row}")
+    kept = set(result.found)
+    result.missing = [k for k in truth.made if k not in kept]
+    return result
+
+
+def _equal(values: Values, expected: Values) -> bool:
+    return all(values[name] == expected[name] for name in expected) and LIVE <= set(expected)
+
+
+@dataclass
+class GapCheck:
+    """uncovered: missing samples that no gap record speaks of. empty: gap records without one."""
+
+    uncovered: list[int] = field(default_factory=list)
+    empty: list[Gap] = field(default_factory=list)
+    expected: int = 0
+    """Sum over the gap records that are not downtime."""
+    downtimes: int = 0
+
+    @property
+    def clean(self) -> bool:
+        return not self.uncovered and not self.empty
+
+
+def check_gaps(missing: Iterable[int], truth: Truth, gaps: Iterable[Gap]) -> GapCheck:
+    result = GapCheck()
+    lost = {k: int(truth.made[k]["wall_ns"]) for k in missing}
+    told = list(gaps)
+    for k, at in lost.items():
+        if not any(_contains(gap, at) for gap in told):
+            result.uncovered.append(k)
+    for gap in told:
+        if gap.reason == "downtime":
+            result.downtimes += 1
+            continue
+        result.expected += gap.expected
+        if not any(_contains(gap, at) for at in lost.values()):
+            result.empty.append(gap)
+    return result
+
+
+def _contains(gap: Gap, at: int) -> bool:
+    return gap.since - _MARGIN <= at <= gap.to + _MARGIN

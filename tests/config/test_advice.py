@@ -1,0 +1,87 @@
+"""Warnings about valid configurations, and the load of serial lines."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from roclog.config import bus_loads, warnings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from roclog.config import Settings
+
+    Load = Callable[[str], Settings]
+
+RTU = '[connections.bus]\ntransport = "rtu"\nport = "/dev/ttyS9"\n'
+TCP = '[connections.bus]\ntransport = "tcp"\nhost = "10.0.0.1"\n'
+ROC = '[devices.roc1]\nprofile = "hiac-roc"\nconnection = "bus"\n'
+
+CASES = {
+    "connections.spare: no device uses this connection": TCP.replace("bus", "spare") + RTU + ROC,
+    "connections.bus.baudrate: 19200, but hiac-roc (roc1) has 9600": (
+        f"{RTU}baudrate = 19200\n{ROC}"
+    ),
+    'connections.bus.parity: "E", but hiac-roc (roc1) has "N"': f"{RTU}parity = 'E'\n{ROC}",
+    "connections.bus.stopbits: 2, but hiac-roc (roc1) has 1": f"{RTU}stopbits = 2\n{ROC}",
+    "connections.bus.silence: 4ms, but hiac-roc (roc1) asks 5208.335us": (
+        f"{RTU}silence = '4ms'\n{ROC}"
+    ),
+    "connections.bus.timeout: 60ms, but the longest answer and a typical turnaround take "
+    "115208.367us at 9600 baud": f"{RTU}timeout = '60ms'\n{ROC}",
+    "devices.roc1.poll: 30s is longer than the cycle of the device, 15s: "
+    "about 50% of the samples will be lost": f"{RTU}{ROC}poll = '30s'\ncycle = '15s'",
+    "devices.roc1.poll: 8s is longer than the shortest cycle that hiac-roc can have, 7s: "
+    "where the device is set so, samples will be lost": f"{RTU}{ROC}poll = '8s'",
+}
+
+
+@pytest.mark.parametrize(("line", "text"), CASES.items(), ids=[line[:50] for line in CASES])
+def test_warning(text: str, line: str, load_text: Load) -> None:
+    assert [str(problem) for problem in warnings(load_text(text))] == [line]
+
+
+@pytest.mark.parametrize(
+    "text", [RTU + ROC, TCP + ROC, RTU + ROC + "poll = '7s'", RTU + ROC + "poll='15s'\ncycle='15s'"]
+)
+def test_nothing_to_warn_about(text: str, load_text: Load) -> None:
+    assert warnings(load_text(text)) == []
+
+
+@pytest.mark.parametrize(
+    ("mode", "who"),
+    [(0o664, "its group"), (0o646, "others"), (0o666, "its group and others")],
+)
+def test_file_that_others_may_write(mode: int, who: str, load_text: Load) -> None:
+    settings = load_text(RTU + ROC)
+    settings.path.chmod(mode)
+    (problem,) = warnings(settings)
+    assert str(problem) == f"{who} may write to this file: chmod go-w"
+
+
+def test_file_that_is_gone(load_text: Load) -> None:
+    settings = load_text(RTU + ROC)
+    settings.path.unlink()
+    assert warnings(settings) == []
+
+
+def test_bus_load(load_text: Load) -> None:
+    """27 registers at 9600 Bd: 8 + 59 characters, 10 ms, and here 3.5 characters: 83.44 ms."""
+    (load,) = bus_loads(load_text(RTU + "silence = '3.5 chars'\n" + ROC))
+    assert load.connection == "bus"
+    assert load.expected == pytest.approx(0.08344, abs=1e-5)
+    assert load.least == pytest.approx(0.07344, abs=1e-5)
+
+
+def test_bus_load_adds_up(load_text: Load) -> None:
+    text = RTU + "silence = '3.5 chars'\n"
+    for unit in range(1, 4):
+        text += ROC.replace("roc1", f"roc{unit}") + f"unit = {unit}\npoll = '500ms'\n"
+    (load,) = bus_loads(load_text(text))
+    assert load.expected == pytest.approx(6 * 0.08344, abs=1e-4)
+
+
+def test_no_bus_load_on_tcp(load_text: Load) -> None:
+    assert bus_loads(load_text(TCP + ROC)) == []

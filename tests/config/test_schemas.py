@@ -1,0 +1,62 @@
+"""The published schemas are those of the code, and agree with it."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from google.protobuf import descriptor_pb2
+
+from roclog.config import json_schema
+from roclog.config.tables import DeviceTable, Rtu, Tcp
+from roclog.devices import PROFILES
+from roclog.schema import CLEAR, GAP, LINK, sample_type
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+DIRECTORY = Path(__file__).parents[2] / "schemas"
+COMMAND = "python schemas/generate.py"
+
+
+def test_files_are_up_to_date() -> None:
+    files: Callable[[], dict[str, str]] = runpy.run_path(str(DIRECTORY / "generate.py"))["files"]
+    wanted = files()
+    there = {p.name: p.read_text() for p in DIRECTORY.iterdir() if p.suffix in {".proto", ".json"}}
+    stale = sorted(n for n in wanted.keys() | there.keys() if wanted.get(n) != there.get(n))
+    assert not stale, f"out of date: {', '.join(stale)}; run: {COMMAND}"
+
+
+def test_module_prints_the_schema() -> None:
+    command = [sys.executable, "-m", "roclog.config"]
+    printed = subprocess.run(command, capture_output=True, check=True, text=True).stdout
+    assert json.loads(printed) == json_schema()
+
+
+def test_schema_has_the_keys_of_the_tables() -> None:
+    definitions = json_schema()["definitions"]
+    for table in (Rtu, Tcp, DeviceTable):
+        keys = set(definitions[table.__name__]["properties"]) - {"transport"}
+        assert keys == set(table.__struct_fields__)
+        assert definitions[table.__name__]["additionalProperties"] is False
+    assert definitions["Rtu"]["required"] == ["transport", "port"]
+    assert definitions["DeviceTable"]["required"] == ["profile", "connection"]
+
+
+def test_proto_texts_say_what_the_descriptors_say() -> None:
+    kinds = [GAP, CLEAR, LINK]
+    kinds += [sample_type(p.name, block) for p in PROFILES.values() for block in p.samples]
+    for kind in kinds:
+        text = (DIRECTORY / f"{kind.name}.proto").read_text()
+        found = re.findall(r"^  (\w+) (\w+) = (\d+);", text, re.MULTILINE)
+        described = descriptor_pb2.FileDescriptorSet.FromString(kind.descriptor_set).file[0]
+        fields = described.message_type[0].field
+        assert [(name, int(number)) for _, name, number in found] == [
+            (field.name, field.number) for field in fields
+        ]
+        assert f"package {described.package};" in text
