@@ -2,6 +2,17 @@
 
 The functions under test are the real ones; the model only plays the device, the disk, the wire and
 the poller around them. ``counterexamples`` gives scripts on which other policies fail.
+
+(a) No sample is lost in silence: each is on disk, or went before an intact read of it came, which
+    the cadence reports, or was in RAM only at a crash, or nothing told it from the one before and
+    an unguarded clear, which is in the recording, hit it.
+(b) No sample is there twice for a reader.
+(c) No torn block and no block of zeros is a sample, and no key has two payloads. A torn block may
+    be kept, noted as overtaken, where a state of the block went by unread.
+(d) No clear goes out before the sample last read with its flag is durable.
+
+Taken for granted: two updates are not hit by reads before the block was read whole and settled, and
+an update that lacks only its flag is not what the logger reads first in its life.
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from decimal import Decimal
 from enum import IntFlag
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -13,6 +12,10 @@ from roclog.register_map import Block, Point, SplitCalendar, WordOrder, WordType
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from decimal import Decimal
+
+_END_OF_TIME = 2**63
+"""Nanoseconds since 1970 that no longer fit the 64-bit times of a recording: the year 2262."""
 
 Value = int | float | bool | str
 
@@ -23,7 +26,7 @@ class TimeFlag(IntFlag):
     NO_TIME = 1
     """Every stamp word is zero."""
     DATE_INVALID = 2
-    """The fields do not form a date and time that exists."""
+    """The fields do not form a date and time that exists, or one outside 1970 to 2262."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +116,8 @@ def _calendar(time: SplitCalendar | None, words: Sequence[int]) -> tuple[int, Ti
         moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
     except ValueError:
         return 0, TimeFlag.DATE_INVALID
-    seconds = int(moment.timestamp())
-    return (seconds * 10**9, TimeFlag(0)) if seconds > 0 else (0, TimeFlag.DATE_INVALID)
+    instant = int(moment.timestamp()) * 10**9
+    return (instant, TimeFlag(0)) if 0 < instant < _END_OF_TIME else (0, TimeFlag.DATE_INVALID)
 
 
 def word_order_doubts(block: Block, words: Sequence[int], order: WordOrder) -> list[str]:

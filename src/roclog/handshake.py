@@ -14,8 +14,8 @@ R5  News is confirmed by a second read with the same payload: a block may be rea
     new; if any word is neither, it was a sample of its own, overtaken. That one is kept, and noted:
     it may still be torn if the state before it was never read, and nothing can tell any more.
 R6  Same payload, flag up, clear still owed: the clear was lost. Clear again, record nothing.
-R7  As R6, but first thing after a start: the crash may have come between commit and clear. Record
-    a copy under the same key, marked redelivered, then clear.
+R7  As R6, but first thing after a start: the crash may have come between write and sync, or between
+    commit and clear. Record a copy under the same key, marked redelivered, then clear.
 
 The functions know no time, no device and no disk. ``judge`` returns what to do and what will be
 true once that is done; the caller adopts the new memory, keeps the news until they are committed,

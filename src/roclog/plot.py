@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from array import array
+from bisect import bisect_left
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,6 +26,7 @@ _UNITS: Final = {"Cel": "°C", "1/mL": "particles per mL", "[ppm]": "ppm", "s": 
 _NAMES: Final = {"iso_code": "ISO 4406 code", "count": "count"}
 _MOST_PANELS: Final = 12
 _MARKERS_BELOW: Final = 120
+_NAN: Final = float("nan")
 _DECADES: Final = 30.0
 """Values whose greatest is so many times their least get a logarithmic axis."""
 
@@ -78,46 +81,38 @@ def plot_samples(source: Recording | Iterable[Record], path: Path | str) -> Path
 def _gather(
     records: Iterable[Record], channels: Mapping[str, Channel]
 ) -> tuple[list[Panel], list[Gap]]:
-    panels: dict[tuple[str, tuple[str, str]], Panel] = {}
-    plans: dict[str, dict[str, tuple[str, str]]] = {}
+    panels: dict[str, list[Panel]] = {}
     gaps: list[Gap] = []
     for record in records:
         if isinstance(record, Gap):
             gaps.append(record)
-        if not isinstance(record, Sample):
-            continue
-        if record.topic not in plans:
-            plans[record.topic] = _plan(record, channels.get(record.topic))
-        touched: dict[int, Panel] = {}
-        for name, key in plans[record.topic].items():
-            panel = panels.setdefault((record.device, key), Panel(record.device, key))
-            missing = array("d", [float("nan")]) * len(panel.times)
-            value = record.values.get(name)
-            if id(panel) not in touched:
-                touched[id(panel)] = panel
+        elif isinstance(record, Sample):
+            if record.topic not in panels:
+                panels[record.topic] = _panels(record, channels.get(record.topic))
+            for panel in panels[record.topic]:
                 panel.times.append(record.log_time)
-                for values in panel.lines.values():
-                    values.append(float("nan"))
-            line = panel.lines.setdefault(name, missing + array("d", [float("nan")]))
-            line[-1] = float(value) if isinstance(value, int | float) else float("nan")
-    drawn = sorted(panels.values(), key=lambda panel: (panel.device, *_rank(panel)))
-    return drawn[:_MOST_PANELS], gaps
+                for name, values in panel.lines.items():
+                    value = record.values.get(name)
+                    values.append(float(value) if isinstance(value, int | float) else _NAN)
+    found = [panel for of_topic in panels.values() for panel in of_topic]
+    return sorted(found, key=lambda panel: (panel.device, *_rank(panel)))[:_MOST_PANELS], gaps
 
 
-def _plan(sample: Sample, channel: Channel | None) -> dict[str, tuple[str, str]]:
-    """Which values go to which panel: ISO codes, and what has a unit (or a number, without units)."""
+def _panels(sample: Sample, channel: Channel | None) -> list[Panel]:
+    """Empty ones: for ISO codes and what has a unit. Without units: what is numbered, or all."""
     units: Mapping[str, str] = channel.units if channel is not None else {}
-    plan: dict[str, tuple[str, str]] = {}
+    panels: dict[tuple[str, str], Panel] = {}
     for name, value in sample.values.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            continue
-        match = _NUMBERED.fullmatch(name)
         unit = units.get(name, "")
-        if unit == "s" or (not unit and units and not name.startswith("iso_code")):
-            continue
-        if unit or match or not units:
-            plan[name] = (match[1] if match else name, unit)
-    return plan
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        wanted = (unit and unit != "s") or not units or name.startswith("iso_code")
+        if is_number and wanted:
+            match = _NUMBERED.fullmatch(name)
+            key = (match[1] if match else name, unit)
+            panel = panels.setdefault(key, Panel(sample.device, key))
+            panel.lines[name] = array("d")
+    series = [panel for panel in panels.values() if len(panel.lines) > 1]
+    return series if series and not units else list(panels.values())
 
 
 def _rank(panel: Panel) -> tuple[int, int, str]:
@@ -133,10 +128,9 @@ def _title(panels: list[Panel], source: object) -> str:
     device = source.devices.get(names[0])
     if device is None:
         return names[0]
-    identity = [str(device.identity.get(k, "")) for k in ("manufacturer", "model", "serial_number")]
-    return "  ·  ".join(
-        part for part in (names[0], device.profile, " ".join(identity).strip()) if part
-    )
+    identity = (device.identity.get(key) for key in ("manufacturer", "model", "serial_number"))
+    known = " ".join(str(text) for text in identity if text)
+    return "  ·  ".join(part for part in (names[0], device.profile, known) if part)
 
 
 def _draw(panels: list[Panel], gaps: list[Gap], title: str, path: Path) -> None:
@@ -144,7 +138,7 @@ def _draw(panels: list[Panel], gaps: list[Gap], title: str, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    style = {
+    style: Any = {
         "font.size": 10,
         "axes.edgecolor": "#b8bec4",
         "axes.labelcolor": _INK,
@@ -161,9 +155,12 @@ def _draw(panels: list[Panel], gaps: list[Gap], title: str, path: Path) -> None:
             len(panels), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
         )
         axes = list(grid[:, 0])
+        explained: set[str] = set()
         several = len({panel.device for panel in panels}) > 1
         for axis, panel in zip(axes, panels, strict=True):
-            _draw_panel(axis, panel, [gap for gap in gaps if gap.device == panel.device])
+            shaded = [gap for gap in gaps if gap.device == panel.device]
+            _draw_panel(axis, panel, shaded, legend=panel.device not in explained)
+            explained.add(panel.device)
             if several:
                 axis.set_title(panel.device, loc="left", fontsize=10, fontweight="bold")
         _draw_time(axes[-1], panels)
@@ -171,16 +168,17 @@ def _draw(panels: list[Panel], gaps: list[Gap], title: str, path: Path) -> None:
         figure.savefig(path, format="png")
 
 
-def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap]) -> None:
-    from numpy import datetime64  # noqa: PLC0415
-    from numpy import array as numbers  # noqa: PLC0415
+def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap], *, legend: bool) -> None:
+    """legend: explain the shading of gaps here."""
+    import numpy as np  # noqa: PLC0415
+    from matplotlib.ticker import FuncFormatter  # noqa: PLC0415
 
-    times = numbers(panel.times, dtype="datetime64[ns]")
+    times = np.array(panel.times, dtype="datetime64[ns]")
     breaks = _breaks(panel.times, gaps)
     for number, (name, values) in enumerate(panel.lines.items()):
-        shown = numbers(values, dtype="float64")
+        shown = np.array(values, dtype="float64")
         if panel.is_logarithmic:
-            shown[shown <= 0] = float("nan")
+            shown[shown <= 0] = _NAN
         for first, last in breaks:
             axis.plot(
                 times[first:last],
@@ -193,31 +191,30 @@ def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap]) -> None:
             )
     for number, gap in enumerate(gaps):
         axis.axvspan(
-            datetime64(gap.start, "ns"),
-            datetime64(max(gap.end, gap.start + 1), "ns"),
-            facecolor=_GAP,
-            alpha=0.16,
-            edgecolor=_GAP,
-            linewidth=0.8,
-            label="gap: samples missing" if number == 0 else None,
+            np.datetime64(gap.start, "ns"),
+            np.datetime64(max(gap.end, gap.start + 1), "ns"),
+            facecolor=(_GAP, 0.16),
+            edgecolor=(_GAP, 0.45),
+            linewidth=0.9,
+            zorder=0.9,
+            label="gap: samples missing" if number == 0 and legend else None,
         )
     if panel.is_logarithmic:
         axis.set_yscale("log")
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
     axis.set_ylabel(panel.label)
     axis.grid(visible=True, which="major", color="#e3e7ea", linewidth=0.8)
     axis.set_axisbelow(True)
     axis.spines[["top", "right"]].set_visible(False)
-    if len(panel.lines) > 1 or gaps:
+    if len(panel.lines) > 1 or (gaps and legend):
         axis.legend(loc="upper left", bbox_to_anchor=(1.005, 1), frameon=False, borderaxespad=0)
 
 
 def _breaks(times: array[int], gaps: list[Gap]) -> list[tuple[int, int]]:
     """Ranges of samples between which no line is drawn, because a gap ends between them."""
-    from bisect import bisect_left  # noqa: PLC0415
-
     cuts = sorted({bisect_left(times, gap.end) for gap in gaps})
     edges = [0, *(cut for cut in cuts if 0 < cut < len(times)), len(times)]
-    return list(zip(edges, edges[1:], strict=False))
+    return list(pairwise(edges))
 
 
 def _line_label(panel: Panel, name: str) -> str:
@@ -228,9 +225,11 @@ def _line_label(panel: Panel, name: str) -> str:
 def _draw_time(axis: Any, panels: list[Panel]) -> None:
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter  # noqa: PLC0415
 
-    locator = AutoDateLocator(minticks=5, maxticks=10)
+    make_locator: Any = AutoDateLocator
+    make_formatter: Any = ConciseDateFormatter
+    locator = make_locator(minticks=5, maxticks=10)
     axis.xaxis.set_major_locator(locator)
-    axis.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    axis.xaxis.set_major_formatter(make_formatter(locator))
     axis.set_xlabel("time (UTC)")
     if max(len(panel.times) for panel in panels) > 1:
         axis.margins(x=0.01)

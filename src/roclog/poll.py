@@ -84,6 +84,7 @@ class FlaggedBlock:
         fresh = False
         while True:
             verdict = await self._look()
+            fresh = fresh and not verdict.news
             if verdict.again:
                 await asyncio.sleep(self._settle() / 1e9)
                 continue
@@ -148,7 +149,7 @@ class FlaggedBlock:
         missed = self.cadence.completed(kept.asked.monotonic, kept.read.monotonic)
         self._tell_missed(missed, reading.read)
         if self._overdue and self._uncertain and since is not None:
-            hidden = Missed(since, kept.read.monotonic, 1)
+            hidden = Missed(since, kept.read.monotonic, 1, possible=True)
             self._tell_missed(hidden, reading.read, Reason.UNGUARDED_CLEAR)
         self._uncertain = False
         self._overdue = False
@@ -207,6 +208,8 @@ class FlaggedBlock:
                 self._tell_power_up(reading)
             case Note.TORN:
                 self._event("warning", "torn", f"read in the middle of an update: {raw}")
+            case Note.OVERTAKEN:
+                self._event("warning", "overtaken", f"kept without its second read: {raw}")
             case Note.REDELIVERED:
                 self._event("info", "redelivered", f"sample {self._memory.seq} is still flagged")
 
@@ -215,12 +218,13 @@ class FlaggedBlock:
         self.powered_up = True
         self._event("warning", "power-up", "the sample block is all zeros, the device restarted")
         cycle = self.cadence.effective_cycle
+        missed = self.cadence.forget()
         if self.last is not None and cycle is not None:
-            blind = reading.read.monotonic - self.last.asked.monotonic
+            since = self.last.asked.monotonic
+            blind = reading.read.monotonic - since
             if blind > cycle:
-                missed = Missed(self.last.asked.monotonic, reading.read.monotonic, blind // cycle)
-                self._tell_missed(missed, reading.read)
-        self.cadence.forget()
+                missed = Missed(since, reading.read.monotonic, blind // cycle, possible=True)
+        self._tell_missed(missed, reading.read)
 
     def _tell_missed(
         self, missed: Missed | None, now: Instant, reason: Reason = Reason.OVERWRITTEN
@@ -229,7 +233,10 @@ class FlaggedBlock:
             return
         offset = now.utc - now.monotonic
         after, before = missed.after + offset, missed.before + offset
-        self._outbox.add(self._maker.gap(after, before, missed.count, reason, now.utc))
+        gap = self._maker.gap(
+            after, before, missed.count, reason, now.utc, possible=missed.possible
+        )
+        self._outbox.add(gap)
 
     def _tell_given_up(self, now: Instant) -> None:
         lost = [e for e in self._outbox.take_given_up() if e.topic == self._maker.topic]

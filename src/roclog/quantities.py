@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime
 from decimal import Decimal
+from fractions import Fraction
 
-_NUMBER = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([A-Za-z]+)\s*")
+_NUMBER = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([A-Za-z]+)\s*", re.ASCII)
 _DURATIONS = {
     "us": 10**3,
     "ms": 10**6,
@@ -16,7 +17,9 @@ _DURATIONS = {
     "d": 86400 * 10**9,
 }
 _SIZES = {"B": 1, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40}
-_INSTANT = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?(Z|[+-]\d\d:\d\d)?")
+_INSTANT = re.compile(
+    r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?(Z|[+-]\d\d:\d\d)?", re.ASCII
+)
 
 
 def parse_duration(text: str) -> int:
@@ -42,10 +45,10 @@ def _parse(text: str, units: dict[str, int], what: str, example: str) -> int:
     if match is None or match[2] not in units:
         allowed = ", ".join(units)
         raise ValueError(f"{text!r} is not {what}: a number and one of {allowed}, like {example}")
-    amount = Decimal(match[1]) * units[match[2]]
-    if amount != int(amount):
+    amount = Fraction(match[1]) * units[match[2]]
+    if amount.denominator != 1:
         raise ValueError(f"{text!r} is finer than {what} can be")
-    return int(amount)
+    return amount.numerator
 
 
 def format_duration(nanoseconds: int) -> str:
@@ -71,7 +74,7 @@ def parse_instant(text: str) -> int:
     Raises:
         ValueError: not an instant.
     """
-    if re.fullmatch(r"\d{4}-\d\d-\d\d", text):
+    if re.fullmatch(r"\d{4}-\d\d-\d\d", text, re.ASCII):
         text += "T00:00:00Z"
     match = _INSTANT.fullmatch(text)
     if match is None:

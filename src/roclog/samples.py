@@ -86,9 +86,18 @@ class SampleMaker:
             "cleared": memory.cleared,
         }
 
-    def gap(self, after: int, before: int, expected: int, reason: Reason, now: int) -> Entry:
-        """``after`` and ``before`` in ns UTC."""
-        data = GAP.pack(iter((after, before, expected, reason)))
+    def gap(
+        self,
+        after: int,
+        before: int,
+        expected: int,
+        reason: Reason,
+        now: int,
+        *,
+        possible: bool = False,
+    ) -> Entry:
+        """``after`` and ``before`` in ns UTC; ``possible``: whether any is missing cannot be told."""
+        data = GAP.pack(iter((after, before, expected, reason, possible)))
         return Entry(f"/{self._device}/gap", now, now, 0, data)
 
     def clear(

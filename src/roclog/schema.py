@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from google.protobuf import descriptor_pb2
 
-from roclog.register_map import Block, Point, WordType
+from roclog.register_map import Block, Point, WordType, camel_case
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -50,7 +50,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field; ``size`` is the number of octets of an OCTETS field, ``enum`` the values of an ENUM."""
+    """One field. size: octets of an OCTETS field. enum: values of an ENUM field, below 128."""
 
     name: str
     number: int
@@ -105,7 +105,7 @@ class MessageType:
 
     @cached_property
     def descriptor_set(self) -> bytes:
-        """Serialized FileDescriptorSet: the data of an MCAP schema record with encoding protobuf."""
+        """Serialized FileDescriptorSet, the data of an MCAP schema with encoding protobuf."""
         package, _, short = self.name.rpartition(".")
         file = descriptor_pb2.FileDescriptorProto(
             name=f"{self.name.replace('.', '/')}.proto", package=package, syntax="proto3"
@@ -130,9 +130,15 @@ class MessageType:
                 values.add(name=member.name, number=member.value)
 
     @cached_property
-    def _packing(self) -> tuple[struct.Struct, list[object]]:
+    def _octets(self) -> list[tuple[int, int]]:
+        """Position among the arguments of pack, and size: struct itself would cut and fill."""
+        sizes = enumerate(field.size for field in self.fields)
+        return [(2 * index + 1, size) for index, size in sizes if size]
+
+    @cached_property
+    def _packing(self) -> tuple[struct.Struct, list[Any]]:
         formats = ["<"]
-        template: list[object] = []
+        template: list[Any] = []
         for field in self.fields:
             tag = _varint(field.number << 3 | field.kind.value[1])
             if field.kind is Kind.OCTETS:
@@ -146,10 +152,14 @@ class MessageType:
 
         Raises:
             struct.error: a value does not fit its kind; a bug, since decode knows the types.
+            ValueError: not as many values as fields, or octets of another size.
         """
         packing, template = self._packing
         arguments = template.copy()
         arguments[1::2] = values
+        for index, size in self._octets:
+            if len(arguments[index]) != size:
+                raise ValueError(f"{len(arguments[index])} octets where {size} belong")
         return packing.pack(*arguments)
 
     @property
@@ -187,7 +197,7 @@ class Reason(IntEnum):
     STORAGE = 3
     """The sample was read, but the disk did not take it in time."""
     UNGUARDED_CLEAR = 4
-    """An expected sample did not show: it may have been bit-identical and lost its flag to a clear."""
+    """An expected sample did not show: it may have been identical and lost its flag to a clear."""
 
 
 class ClearResult(IntEnum):
@@ -208,9 +218,11 @@ GAP: Final = MessageType(
         Field("to", 2, Kind.INT64, "ns"),
         Field("expected", 3, Kind.UINT64),
         Field("reason", 4, Kind.ENUM, enum=Reason),
+        Field("possible", 5, Kind.BOOL),
     ),
 )
-"""``expected`` samples completed between ``from`` and ``to`` and are not in the recording."""
+"""``expected`` samples completed between ``from`` and ``to`` and are not in the recording; where
+``possible`` is set, it cannot be told whether that many are missing, or any."""
 
 CLEAR: Final = MessageType(
     "roclog.Clear",
@@ -252,7 +264,7 @@ LINK: Final = MessageType(
 
 def sample_type(profile: str, block: Block) -> MessageType:
     """Message type of a block's samples; ``raw`` holds the registers as on the wire."""
-    name = f"roclog.{profile.replace('-', '_')}.{block.name.title().replace('_', '')}"
+    name = f"roclog.{profile.replace('-', '_')}.{camel_case(block.name)}"
     raw = Field("raw", RAW_NUMBER, Kind.OCTETS, size=2 * block.count)
     return MessageType(name, (*SIGNATURE, raw, *block_fields(block)))
 

@@ -9,9 +9,11 @@ rule of its devices asks. TCP answers carry a number, so late ones are told apar
 from __future__ import annotations
 
 import asyncio
+import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from roclog.clock import Instant
 from roclog.errors import (
     DeviceError,
     ExceptionAnswer,
@@ -20,19 +22,24 @@ from roclog.errors import (
     WriteRefused,
     WrongAnswer,
 )
-from roclog.modbus.mbap import MbapExchange
-from roclog.modbus.request import WriteRegister, check_answer
+from roclog.modbus.mbap import MbapExchange, MbapStream
+from roclog.modbus.request import check_answer
 from roclog.modbus.rtu import Echo, RtuExchange
 
 if TYPE_CHECKING:
     from roclog.bus.link import Link
     from roclog.bus.tally import Tally
-    from roclog.clock import Clock, Instant
+    from roclog.clock import Clock
     from roclog.modbus.request import Request
 
+    Exchange = RtuExchange | MbapExchange
+    Heard = tuple[bytes, Instant]
+
+_READS: Final = frozenset({1, 2, 3, 4})
+_WRITE_REGISTER: Final = 6
 _FIRST_RETRY: Final = 100_000_000
 _LAST_RETRY: Final = 2_000_000_000
-"""Nanoseconds between attempts to open a link: doubling from the first to the last."""
+"""Nanoseconds between attempts to open a link: doubling until an answer comes over it."""
 
 
 class TooLate(DeviceError):
@@ -84,13 +91,17 @@ class Bus:
         self._permitted = permitted
         self._turn = asyncio.Lock()
         self._opened = False
+        self._trouble = ""
         self._retry_after = 0
         self._retry_delay = _FIRST_RETRY
         self._quiet_since = 0
+        self._owed_until = 0
+        self._last_heard = Instant(0, 0)
         self._transaction = 0
-        self._exchange: RtuExchange | MbapExchange | None = None
-        self._waiter: asyncio.Future[tuple[bytes, Instant]] | None = None
-        self._stray = 0
+        self._stream = MbapStream()
+        self._exchange: Exchange | None = None
+        self._waiter: asyncio.Future[Heard] | None = None
+        self._stray = self._stale = self._losses = 0
 
     async def transact(
         self, unit: int, request: Request, tally: Tally, *, not_after: int | None = None
@@ -127,12 +138,15 @@ class Bus:
         """Judges the octets that would leave, whatever the request calls itself."""
         if pdu[0] in _READS:
             return
-        address, value = struct.unpack(">HH", pdu[1:5]) if pdu[0] == 6 else (None, None)
-        if len(pdu) != 5 or (unit, address, value) not in self._permitted:
-            raise WriteRefused(
-                f"{self.link.name} unit {unit}: function {pdu[0]} with {pdu[1:].hex(' ')} is not "
-                f"the profile's acknowledgement"
-            )
+        what = f"function {pdu[0]}"
+        if pdu[0] == _WRITE_REGISTER and len(pdu) == 5:
+            address, value = struct.unpack(">HH", pdu[1:])
+            if (unit, address, value) in self._permitted:
+                return
+            what = f"writing {value} to register {address}"
+        raise WriteRefused(
+            f"{self.link.name} unit {unit}: {what} is not the profile's acknowledgement"
+        )
 
     async def _ensure_open(self) -> None:
         if self._opened:
@@ -165,7 +179,7 @@ class Bus:
             raise LinkDown(f"{self.link.name} was lost: {self._trouble}")
 
     async def _sleep_until(self, instant: int) -> None:
-        while (left := instant - self._now()) > 0:
+        while (left := instant - self._now()) > 0:  # noqa: ASYNC110 - an instant, not an event
             await asyncio.sleep(left / 1e9)
 
     async def _exchange_once(self, unit: int, request: Request, tally: Tally) -> Answer:
@@ -201,28 +215,28 @@ class Bus:
         return Answer(pdu, asked, read)
 
     async def _wait_for_answer(
-        self, exchange: _Exchange, waiter: asyncio.Future[_Heard], sent: int, tally: Tally
-    ) -> _Heard:
+        self, exchange: Exchange, waiter: asyncio.Future[Heard], sent: int, tally: Tally
+    ) -> Heard:
         if await self._wait(waiter, sent + self.timing.timeout):
             return waiter.result()
         tally.timeouts += 1
         if isinstance(exchange, RtuExchange):
-            await self._wait(waiter, self._owed_until)
-            pdu = None if waiter.done() else exchange.conclude()
-            heard = waiter.result() if pdu is None and waiter.done() else None
-            if pdu is not None:
+            heard = None
+            if await self._wait(waiter, self._owed_until):
+                heard = waiter.result()
+            elif (pdu := exchange.conclude()) is not None:
                 heard = pdu, self._last_heard
             if heard is not None:
                 tally.late_answers += 1
                 return heard
         raise NoAnswer(f"{self.link.name}: no answer within {self.timing.timeout / 1e6:g} ms")
 
-    async def _wait(self, waiter: asyncio.Future[_Heard], deadline: int) -> bool:
+    async def _wait(self, waiter: asyncio.Future[Heard], deadline: int) -> bool:
         while not waiter.done() and (left := deadline - self._now()) > 0:
             await asyncio.wait((waiter,), timeout=left / 1e9)
         return waiter.done()
 
-    def _new_exchange(self, unit: int, request: Request) -> _Exchange:
+    def _new_exchange(self, unit: int, request: Request) -> Exchange:
         if self.timing.late_answer is not None:
             return RtuExchange(unit, request, self.echo)
         self._transaction = self._transaction % 0xFFFF + 1
@@ -284,7 +298,7 @@ class Bus:
         if self._waiter is not None and not self._waiter.done():
             self._waiter.set_exception(LinkDown(f"{self.link.name}: {reason}"))
 
-    def _explain(self, exchange: _Exchange, silence: NoAnswer, tally: Tally) -> DeviceError:
+    def _explain(self, exchange: Exchange, silence: NoAnswer, tally: Tally) -> DeviceError:
         if isinstance(exchange, MbapExchange) or not exchange.leftover:
             return silence
         octets = exchange.leftover

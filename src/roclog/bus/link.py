@@ -16,9 +16,7 @@ class Link(Protocol):
         """As the user knows it: a device path or host:port."""
         ...
 
-    async def open(
-        self, receive: Callable[[bytes], None], lost: Callable[[str], None]
-    ) -> None:
+    async def open(self, receive: Callable[[bytes], None], lost: Callable[[str], None]) -> None:
         """Open, or raise OSError. ``lost`` is called once if the medium goes away later."""
         ...
 

@@ -61,7 +61,7 @@ class SerialLink:
             port.close()
 
     def _open_port(self) -> serial.Serial:
-        """pyserial opens, sets up and empties the port; every failure becomes a plain OSError."""
+        """Open, set up and empty the port; every failure becomes a plain OSError."""
         try:
             return serial.Serial(
                 self.port,

@@ -109,7 +109,7 @@ def _report(paths: Paths) -> bool:
     from roclog.recording.reader import open_recording  # noqa: PLC0415
 
     recording = open_recording(paths.recordings)
-    export(recording, paths.csv, "csv")
+    export(recording, paths.csv, form="csv")
     table = Table(box=None, pad_edge=False)
     for heading in (
         "device",

@@ -18,17 +18,8 @@ if TYPE_CHECKING:
     from roclog.register_map import Block, Point, RegisterMap
 
 _NUMERIC: Final = frozenset({"address", "words", "unit id"})
-_POINT_HEADINGS: Final = (
-    "address",
-    "words",
-    "name",
-    "type",
-    "scale",
-    "unit",
-    "range",
-    "meanings",
-    "title",
-)
+_LONG: Final = frozenset({"title", "source"})
+_POINT_HEADINGS: Final = ("address", "words", "name", "type", "scale", "unit", "range", "title")
 
 
 @click.command()
@@ -66,7 +57,7 @@ def _print_profile(profile: RegisterMap) -> None:
         for label, text in _block_facts(profile, block):
             click.echo(f"{label:12}{text}")
         points = sorted(block.points, key=lambda point: point.offset)
-        _print_table(_POINT_HEADINGS, [_row(block, point) for point in points])
+        _print_table(_POINT_HEADINGS, [row for point in points for row in _rows(block, point)])
 
 
 def _facts(profile: RegisterMap) -> Iterator[tuple[str, str]]:
@@ -105,10 +96,10 @@ def _span(address: int, words: int) -> str:
     return str(address) if words == 1 else f"{address}-{address + words - 1}"
 
 
-def _row(block: Block, point: Point) -> tuple[str, ...]:
-    meanings = [f"{value} = {text}" for value, text in point.meanings]
-    bits = [f"bit {bit} {text}" for bit, text in point.bits]
-    return (
+def _rows(block: Block, point: Point) -> Iterator[tuple[str, ...]]:
+    """The point, then each of its named bits."""
+    meanings = ", ".join(f"{value} = {text}" for value, text in point.meanings)
+    yield (
         str(block.address + point.offset),
         str(point.size),
         point.name,
@@ -116,9 +107,11 @@ def _row(block: Block, point: Point) -> tuple[str, ...]:
         "" if point.scale is None else str(point.scale),
         point.unit,
         "" if point.low is None else f"{point.low} to {point.high}",
-        point.title,
-        ", ".join(meanings + bits),
+        f"{point.title}: {meanings}" if meanings else point.title,
     )
+    blank = ("",) * (len(_POINT_HEADINGS) - 4)
+    for bit, name in point.bits:
+        yield ("", "", name, f"bit {bit}", *blank)
 
 
 def _serial(profile: RegisterMap) -> str:
@@ -147,9 +140,10 @@ def _print_rich(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in headings:
         justify: Literal["left", "right"] = "right" if heading in _NUMERIC else "left"
-        table.add_column(heading, justify=justify, overflow="fold")
+        no_wrap = heading not in _LONG
+        table.add_column(heading, justify=justify, overflow="fold", no_wrap=no_wrap)
     for row in rows:
-        table.add_row(*(Text(cell.replace(", bit ", "\nbit ")) for cell in row))
+        table.add_row(*(Text(cell) for cell in row))
     Console().print(table)
 
 

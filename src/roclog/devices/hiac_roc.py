@@ -38,11 +38,6 @@ def _text(name: str, offset: int, words: int, title: str) -> Point:
     return Point(name=name, offset=offset, type=WordType.TEXT, words=words, title=title)
 
 
-def _word(name: str, offset: int, title: str, low: int, high: int) -> Point:
-    limits = {"low": Decimal(low), "high": Decimal(high)}
-    return Point(name=name, offset=offset, type=WordType.U16, title=title, **limits)
-
-
 def _class(name: str, offset: int, title: str, low: int) -> Point:
     return Point(
         name=name,
@@ -66,8 +61,15 @@ IDENTITY: Final = Block(
         _text("model", 15, 10, "Model number"),
         _text("serial_number", 25, 5, "Serial number"),
         _text("sensor_id", 30, 4, "Sensor ID"),
-        Point(name="calibration_year", offset=34, type=WordType.U16, title="Last calibration, unused"),
-        Point(name="calibration_day", offset=35, type=WordType.MONTH_DAY, title="Month and day, unused"),
+        Point(
+            name="calibration_year", offset=34, type=WordType.U16, title="Last calibration, unused"
+        ),
+        Point(
+            name="calibration_day",
+            offset=35,
+            type=WordType.MONTH_DAY,
+            title="Month and day, unused",
+        ),
         Point(name="calibration_due_year", offset=36, type=WordType.U16, title="Due, unused"),
         Point(name="calibration_due_day", offset=37, type=WordType.MONTH_DAY, title="Due, unused"),
         Point(
@@ -95,11 +97,22 @@ CONFIGURATION: Final = Block(
     count=14,
     title="Configuration block, registers 100-113",
     points=(
-        _word("node_id", 0, "Node ID", 1, 247),
+        Point(
+            name="node_id",
+            offset=0,
+            type=WordType.U16,
+            low=Decimal(1),
+            high=Decimal(247),
+            title="Node ID",
+        ),
         Point(name="date_year", offset=1, type=WordType.U16, title="Counter date, unused"),
         Point(name="date_day", offset=2, type=WordType.MONTH_DAY, title="Counter date, unused"),
-        Point(name="time_hour", offset=3, type=WordType.U16, unit="h", title="Counter time, unused"),
-        Point(name="time_minute", offset=4, type=WordType.MINUTES_SECONDS, unit="s", title="Unused"),
+        Point(
+            name="time_hour", offset=3, type=WordType.U16, unit="h", title="Counter time, unused"
+        ),
+        Point(
+            name="time_minute", offset=4, type=WordType.MINUTES_SECONDS, unit="s", title="Unused"
+        ),
         Point(
             name="sample_period",
             offset=5,

@@ -168,9 +168,8 @@ def _apply(path: Path, state: Inheritance) -> None:
                 channels[channel.id] = channel
             case Message() as message:
                 state.alive_until = max(state.alive_until, message.log_time)
-                channel = channels.get(message.channel_id)
-                if channel is not None:
-                    _apply_message(channel, message.data, state.carry)
+                if message.channel_id in channels:
+                    _apply_message(channels[message.channel_id], message.data, state.carry)
 
 
 def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:

@@ -130,7 +130,8 @@ class Scan:
                 yield from self._chunk(offset, body)
             elif opcode == Opcode.MESSAGE or opcode in _KINDS:
                 if not (self._data_ended and opcode in _UNPROTECTED):
-                    record = _parse(opcode, body)
+                    exact = self.ours or (opcode == Opcode.HEADER and _LIBRARY.encode() in body)
+                    record = _parse(opcode, body, exact=exact)
                     self._recognise(record)
                     yield Found(offset, record)
             elif opcode == Opcode.DATA_END:
@@ -251,7 +252,8 @@ def _frames(content: bytes) -> Iterator[tuple[int, int, int]]:
         at += length
 
 
-def _parse(opcode: int, body: bytes) -> Record:
+def _parse(opcode: int, body: bytes, *, exact: bool = False) -> Record:
+    """exact: octets behind the known fields are damage, not a later version of the format."""
     if opcode == Opcode.MESSAGE:
         if len(body) < _MESSAGE_HEAD.size:
             raise _PartError("a message without a head")
@@ -264,8 +266,11 @@ def _parse(opcode: int, body: bytes) -> Record:
             data=body[_MESSAGE_HEAD.size :],
         )
     kind = _KINDS[opcode]
+    stream = ReadDataStream(io.BytesIO(body))
     try:
-        record: Record = kind.read(ReadDataStream(io.BytesIO(body)))
+        record: Record = kind.read(stream)
     except (McapError, struct.error, UnicodeDecodeError, OverflowError, MemoryError) as error:
         raise _PartError(f"an unreadable {kind.__name__} record ({error})") from error
+    if exact and stream.count != len(body):
+        raise _PartError(f"a {kind.__name__} record with {len(body) - stream.count} octets too many")
     return record

@@ -68,6 +68,17 @@ class Child:
     def send(self, number: int) -> None:
         self._process.send_signal(number)
 
+    def while_it_runs(
+        self, found: Callable[[], T], what: str, seconds: float = PATIENCE
+    ) -> T:
+        """As ``until``, but fails at once, with what it said, when the process has ended."""
+
+        def look() -> T:
+            assert self.code is None, f"ended with {self.code} before {what}:\n{self.talk()}"
+            return found()
+
+        return until(look, what, seconds)
+
     def wait(self, seconds: float = PATIENCE) -> int:
         try:
             return self._process.wait(seconds)

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING
 
-from bench.process import Child, until
+from bench.process import Child
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -56,9 +56,4 @@ class Recorder:
 
     def wait_for_hot(self, child: Child) -> None:
         """The first segment is open: it records."""
-
-        def found() -> bool:
-            assert child.code is None, child.talk()
-            return bool(self.hot())
-
-        until(found, "the first segment")
+        child.while_it_runs(self.hot, "the first segment")
