@@ -10,7 +10,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests/acceptance/lib"))
 
-from bench.steady import Outcome, run  # noqa: E402 - only now can it be found
+from bench.steady import Outcome, run
 
 PLANS = tuple(
     (cycle, poll, busy)

@@ -36,14 +36,14 @@ class Extent:
 class Info:
     """The counts; what stands in the recording itself is not repeated here.
 
-    gaps: records and expected samples, by device and reason.
+    gaps: records and expected samples, by device, reason and whether it is only possible.
     events: by device, kind and level.
     """
 
     recording: Recording
     segments: list[tuple[Segment, Extent]] = field(default_factory=list)
     channels: dict[str, Extent] = field(default_factory=dict)
-    gaps: dict[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
+    gaps: dict[tuple[str, str, bool], tuple[int, int]] = field(default_factory=dict)
     events: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     samples: Extent = field(default_factory=Extent)
 
@@ -66,7 +66,7 @@ def _count(info: Info, record: Record) -> None:
         case Sample():
             info.samples.add(record.log_time)
         case Gap():
-            key = (record.device, record.reason)
+            key = (record.device, record.reason, record.possible)
             records, expected = info.gaps.get(key, (0, 0))
             info.gaps[key] = (records + 1, expected + record.expected)
         case Event():
@@ -94,8 +94,14 @@ def as_object(info: Info) -> dict[str, object]:
             for topic, channel in sorted(recording.channels.items())
         ],
         "gaps": [
-            {"device": device, "reason": reason, "count": count, "expected": expected}
-            for (device, reason), (count, expected) in sorted(info.gaps.items())
+            {
+                "device": device,
+                "reason": reason,
+                "possible": possible,
+                "count": count,
+                "expected": expected,
+            }
+            for (device, reason, possible), (count, expected) in sorted(info.gaps.items())
         ],
         "copies_dropped": recording.dropped,
         "conflicts": [

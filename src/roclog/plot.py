@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _NUMBERED: Final = re.compile(r"(.+)_(\d+)")
 _COLOURS: Final = ("#1d3557", "#2a7f9e", "#e9a23b", "#c8553d", "#6b8e4e", "#7d5ba6")
 _GAP: Final = "#d1495b"
+_GAPS: Final = {False: "gap: samples missing", True: "perhaps missing"}
 _INK: Final = "#33393f"
 _UNITS: Final = {"Cel": "°C", "1/mL": "particles per mL", "[ppm]": "ppm", "s": "s"}
 _NAMES: Final = {"iso_code": "ISO 4406 code", "count": "count"}
@@ -189,16 +190,19 @@ def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap], *, legend: bool) -> No
                 markersize=3,
                 label=_line_label(panel, name) if first == 0 else None,
             )
-    for number, gap in enumerate(gaps):
+    explained: set[bool] = set()
+    for gap in gaps:
         axis.axvspan(
             np.datetime64(gap.start, "ns"),
             np.datetime64(max(gap.end, gap.start + 1), "ns"),
-            facecolor=(_GAP, 0.16),
+            facecolor=(_GAP, 0.05 if gap.possible else 0.16),
             edgecolor=(_GAP, 0.45),
             linewidth=0.9,
+            linestyle=":" if gap.possible else "-",
             zorder=0.9,
-            label="gap: samples missing" if number == 0 and legend else None,
+            label=_GAPS[gap.possible] if legend and gap.possible not in explained else None,
         )
+        explained.add(gap.possible)
     if panel.is_logarithmic:
         axis.set_yscale("log")
         axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))

@@ -31,6 +31,7 @@ class FlaggedBlock:
     """The straight path of one block. ``turn`` is called at every poll.
 
     acknowledge: whether the flag may be cleared; False leaves it to somebody else.
+    read_until: UTC ns at which an earlier run last read the block, 0 = never.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class FlaggedBlock:
         outbox: Outbox,
         clock: Clock,
         acknowledge: bool,
+        read_until: int = 0,
     ) -> None:
         block = maker.block
         if block.trigger is None:
@@ -62,6 +64,7 @@ class FlaggedBlock:
         self._outbox = outbox
         self._clock = clock
         self._acknowledge = acknowledge
+        self._read_until = read_until
         self._quiet_at = 0
         self._clear_after = 0
         self._refused = False
@@ -108,11 +111,15 @@ class FlaggedBlock:
         if candidate is not None:
             raw = self._reading(candidate).raw.hex(" ")
             self._event("warning", "unconfirmed", f"stopped before a second read of {raw}")
+        if self.last is not None and self._outbox.empty:
+            carry = self._maker.carry(self._memory, self.last.read.utc)
+            self._outbox.checkpoint(self._maker.topic, carry)
 
     async def _look(self) -> Verdict:
         answer = await self._bus.transact(self._unit, self._request, self._tally)
         reading = Reading(words(answer.pdu), answer.asked, answer.read, self._quiet_at)
         self._memory, verdict = judge(self._memory, self._seen(reading))
+        self._tell_downtime(reading.read)
         self._record(reading, verdict)
         self.last = reading
         if not verdict.again:
@@ -203,7 +210,8 @@ class FlaggedBlock:
         match note:
             case Note.BASELINE:
                 self._event("info", "baseline", f"first block, flag down, not a sample: {raw}")
-                self._outbox.checkpoint(self._maker.topic, self._maker.carry(self._memory))
+                carry = self._maker.carry(self._memory, reading.read.utc)
+                self._outbox.checkpoint(self._maker.topic, carry)
             case Note.POWER_UP:
                 self._tell_power_up(reading)
             case Note.TORN:
@@ -237,6 +245,18 @@ class FlaggedBlock:
             after, before, missed.count, reason, now.utc, possible=missed.possible
         )
         self._outbox.add(gap)
+
+    def _tell_downtime(self, now: Instant) -> None:
+        """The time between two runs is a gap, on disk no later than the first sample after it."""
+        since, self._read_until = min(self._read_until, now.utc), 0
+        if since:
+            cycle = self.cadence.cycle
+            expected = (now.utc - since) // cycle if cycle else 0
+            self._outbox.add(
+                self._maker.gap(
+                    since, now.utc, expected, Reason.DOWNTIME, now.utc, possible=expected <= 1
+                )
+            )
 
     def _tell_given_up(self, now: Instant) -> None:
         lost = [e for e in self._outbox.take_given_up() if e.topic == self._maker.topic]

@@ -10,7 +10,6 @@ from roclog.decode import Value, decode, field_names, word_order_doubts
 from roclog.errors import DeviceError, ExceptionAnswer, LinkDown
 from roclog.modbus.request import ReadRegisters, words
 from roclog.samples import link_entry
-from roclog.schema import Reason
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
@@ -30,10 +29,7 @@ _ABSENT: Final = 60 * 10**9
 
 
 class PolledDevice:
-    """Reads one device until it is cancelled.
-
-    alive_until: UTC ns up to which an earlier run recorded, 0 = there was none.
-    """
+    """Reads one device until it is cancelled."""
 
     def __init__(
         self,
@@ -46,7 +42,6 @@ class PolledDevice:
         outbox: Outbox,
         writer: Writer,
         clock: Clock,
-        alive_until: int,
     ) -> None:
         self.device = device
         self.outbox = outbox
@@ -57,7 +52,6 @@ class PolledDevice:
         self._maker = maker
         self._writer = writer
         self._clock = clock
-        self._alive_until = alive_until
         self._facts_due = True
         self._facts_after = 0
         self._trouble = ""
@@ -146,7 +140,6 @@ class PolledDevice:
         """What the block says beside the sample."""
         if reading is None:
             return
-        self._tell_downtime(reading)
         if self._block.powered_up:
             self._block.powered_up = False
             self._facts_due = True
@@ -156,17 +149,6 @@ class PolledDevice:
             self._doubt_told = True
             text = f"{'; '.join(doubts)}: is word_order {self.device.word_order} right?"
             self.outbox.event("warning", "word-order", text)
-
-    def _tell_downtime(self, reading: Reading) -> None:
-        """The time between two runs is a gap, told once with the first answer of this run."""
-        since, self._alive_until = self._alive_until, 0
-        if not since:
-            return
-        now = reading.read.utc
-        since = min(since, now)
-        cycle = self._block.cadence.cycle
-        expected = (now - since) // cycle if cycle else 0
-        self.outbox.add(self._maker.gap(since, now, expected, Reason.DOWNTIME, now))
 
     def _tell_live(self, reading: Reading) -> None:
         """Alarms and temperature may move without a new sample: an event, once for each sample."""

@@ -74,16 +74,17 @@ class SampleMaker:
             publish_time=decoded.device_time or reading.read.utc,
             sequence=news.seq,
             data=self.kind.pack(iter(values)),
-            carry=self.carry(memory),
+            carry=self.carry(memory, reading.read.utc),
         )
 
-    def carry(self, memory: Memory) -> dict[str, object]:
-        """What the next run inherits."""
+    def carry(self, memory: Memory, read_at: int) -> dict[str, object]:
+        """What the next run inherits; the block was last read at ``read_at`` ns UTC."""
         return {
             "epoch": self.epoch.hex(),
             "seq": memory.seq,
             "payload": None if memory.payload is None else memory.payload.hex(),
             "cleared": memory.cleared,
+            "read_at": read_at,
         }
 
     def gap(
@@ -113,8 +114,15 @@ class SampleMaker:
         """``asked`` and ``ended`` in ns UTC; ``memory`` as it is after the clear."""
         values = (memory.seq, self.epoch, asked, ended, result, code, guarded)
         data = CLEAR.pack(iter(values))
-        topic = f"/{self._device}/clear"
-        return Entry(topic, ended, ended, memory.seq & 0xFFFFFFFF, data)
+        return Entry(
+            topic=f"/{self._device}/clear",
+            log_time=ended,
+            publish_time=ended,
+            sequence=memory.seq & 0xFFFFFFFF,
+            data=data,
+            carry=self.carry(memory, ended),
+            carry_topic=self.topic,
+        )
 
 
 def link_entry(device: str, since: Instant, now: Instant, tally: Tally) -> Entry:

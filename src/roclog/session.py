@@ -74,7 +74,6 @@ class Session:
         try:
             leftover = self._directory.hot_segments()
             self._inheritance = self._directory.inherit()
-            alive_until = self._inheritance.alive_until
             keep = Retention(self._clock, recording.keep_age, recording.keep_size)
             limited = recording.keep_age is not None or recording.keep_size is not None
             self._sealer = Sealer(recording.directory, keep if limited else None, self._tell)
@@ -88,7 +87,7 @@ class Session:
         except BaseException:
             self._directory.release()
             raise
-        self._build(alive_until)
+        self._build()
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -164,16 +163,16 @@ class Session:
             "opened_at_monotonic": str(now.monotonic),
         }
 
-    def _build(self, alive_until: int) -> None:
+    def _build(self) -> None:
         devices = list(self.settings.devices.values())
         for name, connection in self.settings.connections.items():
             users = [device for device in devices if device.connection == name]
             self._buses[name] = make_bus(connection, users, self._clock)
         for device in devices:
             for block in device.profile.samples:
-                self._add(device, block, alive_until)
+                self._add(device, block)
 
-    def _add(self, device: Device, block: Block, alive_until: int) -> None:
+    def _add(self, device: Device, block: Block) -> None:
         topic = f"/{device.name}/{block.name}"
         carry = self._inheritance.carry.get(topic)
         epoch, memory = _resume(carry)
@@ -190,8 +189,8 @@ class Session:
             outbox=outbox,
             clock=self._clock,
             acknowledge=device.acknowledge,
+            read_until=0 if carry is None else int(str(carry.get("read_at", 0))),
         )
-        since = alive_until if carry is not None else 0
         self.devices.append(
             PolledDevice(
                 device=device,
@@ -202,7 +201,6 @@ class Session:
                 outbox=outbox,
                 writer=self._writer,
                 clock=self._clock,
-                alive_until=since,
             )
         )
 

@@ -12,7 +12,8 @@ import pytest
 from roclog.config import Connection, RecordingSettings, load
 from roclog.devices import PROFILES
 from roclog.errors import ConfigError, RegisterMapError
-from roclog.register_map import SerialDefaults, WordOrder, check_register_map
+from roclog.register_map import SerialDefaults, WordOrder
+from roclog.register_map_check import check_register_map
 
 if TYPE_CHECKING:
     from collections.abc import Callable

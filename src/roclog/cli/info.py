@@ -89,8 +89,8 @@ def _print_devices(found: Info) -> None:
 def _print_problems(found: Info) -> None:
     recording = found.recording
     rows = [
-        (device, reason, str(count), str(expected))
-        for (device, reason), (count, expected) in sorted(found.gaps.items())
+        (device, f"{reason}, perhaps" if possible else reason, str(count), str(expected))
+        for (device, reason, possible), (count, expected) in sorted(found.gaps.items())
     ]
     output.print_table("gaps", ("device", "reason", "gaps", "samples"), rows, _RIGHT)
     rows = [

@@ -40,14 +40,18 @@ def _described(fields: Iterable[Field]) -> tuple[tuple[str, int, int], ...]:
     return tuple((field.name, field.number, field.kind.value[0]) for field in fields)
 
 
-_SAMPLE_FIELDS: Final = (*_described(SIGNATURE), ("raw", RAW_NUMBER, FieldDescriptor.TYPE_BYTES))
+_SAMPLE_FIELDS: Final = (
+    *_described(SIGNATURE[:11]),
+    ("raw", RAW_NUMBER, FieldDescriptor.TYPE_BYTES),
+)
 _COMMON: Final = frozenset(name for name, _, _ in _SAMPLE_FIELDS)
 _KINDS: Final = {
-    GAP.name: ("gap", _described(GAP.fields)),
-    CLEAR.name: ("clear", _described(CLEAR.fields)),
+    GAP.name: ("gap", _described(GAP.fields[:4])),
+    CLEAR.name: ("clear", _described(CLEAR.fields[:7])),
     LINK.name: ("link", _described(LINK.fields[:2])),
     "foxglove.Log": ("log", _LOG_FIELDS),
 }
+"""The fields of the first version, so that files of every version are read."""
 
 
 class Readers:
@@ -94,6 +98,7 @@ class ChannelDecoder:
                 self.damaged = True
                 problem = str(error)
         self.channel = self._facts(record, schema.name if schema is not None else "", problem)
+        self._has_possible = "possible" in self.channel.fields
         self._decode = self._decoder()
         points = record.metadata.get("points")
         self._points = points.split(",") if points else []
@@ -213,6 +218,7 @@ class ChannelDecoder:
             end=m.to,
             expected=m.expected,
             reason=_name(Reason, m.reason),
+            possible=self._has_possible and bool(m.possible),
         )
 
     def _clear(self, message: Message, m: Any) -> Clear:

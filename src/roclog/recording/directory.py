@@ -28,21 +28,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 Carry = dict[str, dict[str, Any]]
-"""Topic to what the next run must know of it: epoch, seq, payload (hex or null), cleared."""
+"""Topic to what the next run must know of it: epoch, seq, payload (hex or null), cleared, read_at."""
 
 
 @dataclass
 class Inheritance:
     """What earlier runs leave to this one.
 
-    logger: identity of the directory's life. number: of the newest segment. alive_until: latest
-    log_time found, 0 = nothing was ever recorded.
+    logger: identity of the directory's life. number: of the newest segment.
     """
 
     logger: str
     number: int = 0
     carry: Carry = field(default_factory=dict)
-    alive_until: int = 0
 
 
 class Directory:
@@ -88,8 +86,7 @@ class Directory:
             _apply(newest[1], found)
         if state is not None and state.number >= number:
             found.number, found.logger = state.number, state.logger
-            found.carry = {**state.carry, **_at_least_as_new(found.carry, state.carry)}
-            found.alive_until = max(found.alive_until, state.alive_until)
+            found.carry = _merged(found.carry, state.carry)
         return found
 
     def write_state_file(self, inheritance: Inheritance) -> None:
@@ -98,7 +95,6 @@ class Directory:
             "logger": inheritance.logger,
             "number": str(inheritance.number),
             "carry": json.dumps(inheritance.carry),
-            "alive_until": str(inheritance.alive_until),
         }
         temporary = self.root / f".state-{os.getpid()}"
         with temporary.open("w") as file:
@@ -114,9 +110,7 @@ class Directory:
             if not isinstance(values, dict) or not intact(values):
                 return None
             carry = json.loads(values["carry"])
-            return Inheritance(
-                values["logger"], int(values["number"]), carry, int(values["alive_until"])
-            )
+            return Inheritance(values["logger"], int(values["number"]), carry)
         except (OSError, ValueError, KeyError):
             return None
 
@@ -134,13 +128,15 @@ def _make_durably(folder: Path) -> None:
     sync_directory(folder.parent)
 
 
-def _at_least_as_new(found: Carry, state: Carry) -> Carry:
-    """Topics of ``found`` that are as far as the state file or farther."""
-    return {
-        topic: carry
-        for topic, carry in found.items()
-        if topic not in state or carry["seq"] >= state[topic]["seq"]
-    }
+def _merged(found: Carry, state: Carry) -> Carry:
+    """Of each topic what is farther; the segment where it is as far as the state file."""
+    merged = {**state}
+    for topic, carry in found.items():
+        known = state.get(topic)
+        if known is None or carry["seq"] >= known["seq"]:
+            read_at = max(c.get("read_at", 0) for c in (carry, known or carry))
+            merged[topic] = {**carry, "read_at": read_at}
+    return merged
 
 
 def _head(path: Path) -> Mapping[str, str] | None:
@@ -167,7 +163,6 @@ def _apply(path: Path, state: Inheritance) -> None:
             case Channel() as channel:
                 channels[channel.id] = channel
             case Message() as message:
-                state.alive_until = max(state.alive_until, message.log_time)
                 if message.channel_id in channels:
                     _apply_message(channels[message.channel_id], message.data, state.carry)
 
@@ -177,8 +172,10 @@ def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:
     if cleared is not None:
         clear = CLEAR.unpack(data)
         entry = carry.get(cleared)
-        if clear is not None and entry is not None and clear["result"] == ClearResult.DONE:
-            entry["cleared"] = entry["cleared"] or clear["seq"] == entry["seq"]
+        if clear is not None and entry is not None:
+            entry["read_at"] = clear["ended_at"]
+            if clear["result"] == ClearResult.DONE:
+                entry["cleared"] = entry["cleared"] or clear["seq"] == entry["seq"]
         return
     payload_words = channel.metadata.get("payload")
     sample = read_signature(data) if payload_words is not None else None
@@ -191,4 +188,5 @@ def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:
         "seq": sample["seq"],
         "payload": b"".join(raw[2 * a : 2 * (a + n)] for a, n in ranges).hex(),
         "cleared": sample["origin"] != Origin.FLAG,
+        "read_at": sample["read_at"],
     }

@@ -33,7 +33,8 @@ class ChannelInfo:
 class Entry:
     """One message.
 
-    carry: what a later run must know of the channel once this message is on disk.
+    carry: what a later run must know of the channel once this message is on disk; ``carry_topic``
+    where it is another channel than that of the message.
     """
 
     topic: str
@@ -42,6 +43,7 @@ class Entry:
     sequence: int
     data: bytes
     carry: Mapping[str, object] | None = None
+    carry_topic: str = ""
 
 
 def block_channel(device: str, profile: str, block: Block, kind: MessageType) -> ChannelInfo:

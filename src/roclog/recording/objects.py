@@ -33,6 +33,7 @@ def fields_of(record: Record) -> Mapping[str, object]:
                 "to": record.end,
                 "expected": record.expected,
                 "reason": record.reason,
+                "possible": record.possible,
             }
         case Clear():
             return {

@@ -55,7 +55,10 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """``expected`` samples completed between ``start`` and ``end`` and are not recorded."""
+    """``expected`` samples completed between ``start`` and ``end`` and are not recorded.
+
+    possible: it cannot be told whether that many are missing, or any.
+    """
 
     topic: str
     device: str
@@ -64,6 +67,7 @@ class Gap:
     end: int
     expected: int
     reason: str
+    possible: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -64,7 +64,7 @@ class Scan:
         from chunks with a checksum. In files of others, messages outside chunks are taken as long
         as no chunk came before them: a flipped bit makes a message out of a message index.
     damage: what was skipped or cut off, filled while iterating.
-    octets: size of the good part. read_to: how far the file went when it was read.
+    octets: size of the good part. torn_at: size of the file if it ended inside a record, else None.
 
     The schemas and channels that a finished file repeats behind its data are not returned; see
     ``recording/summary.py`` for them.
@@ -81,7 +81,7 @@ class Scan:
         self.ours = False
         self.damage: list[DamagedFile] = []
         self.octets = 0
-        self.read_to = 0
+        self.torn_at: int | None = None
         self._start = 0 if start is None else start
         self._end = 2**64 if end is None else end
         self._chunks = 0
@@ -89,19 +89,18 @@ class Scan:
 
     def __iter__(self) -> Iterator[Found]:
         with self.path.open("rb") as file:
-            if file.read(len(MAGIC)) != MAGIC:
-                self.read_to = file.seek(0, io.SEEK_END)
+            magic = file.read(len(MAGIC))
+            if magic != MAGIC:
+                self.torn_at = len(magic) if MAGIC.startswith(magic) else None
                 raise DamagedFile(self.path, 0, "not an MCAP file")
             self.octets = len(MAGIC)
-            try:
-                yield from self._records(file)
-            finally:
-                self.read_to = file.tell()
+            yield from self._records(file)
 
     def _records(self, file: IO[bytes]) -> Iterator[Found]:
         while head := file.read(_FRAME.size):
             offset = self.octets
             if len(head) < _FRAME.size:
+                self.torn_at = file.tell()
                 self._note(offset, f"{len(head)} octets of an unfinished record")
                 return
             opcode, length = _FRAME.unpack(head)
@@ -112,6 +111,7 @@ class Scan:
             body = file.read(length) if wanted else b""
             missing = length - len(body) if wanted else _skip(file, length)
             if missing:
+                self.torn_at = file.tell()
                 self._note(offset, f"{length - missing} of {length} octets of the last record")
                 return
             yield from self._open(offset, opcode, length, body)
@@ -272,5 +272,7 @@ def _parse(opcode: int, body: bytes, *, exact: bool = False) -> Record:
     except (McapError, struct.error, UnicodeDecodeError, OverflowError, MemoryError) as error:
         raise _PartError(f"an unreadable {kind.__name__} record ({error})") from error
     if exact and stream.count != len(body):
-        raise _PartError(f"a {kind.__name__} record with {len(body) - stream.count} octets too many")
+        raise _PartError(
+            f"a {kind.__name__} record with {len(body) - stream.count} octets too many"
+        )
     return record

@@ -152,7 +152,7 @@ class SegmentReader:
 
     def _take_damage(self) -> None:
         damage = self._scan.damage
-        if damage and damage[-1].offset == self._scan.octets and self._is_growing():
+        if damage and self._is_growing():
             del damage[-1]
         self.damage += damage
         sealed = self.metadata.get(SEALED_METADATA)
@@ -162,13 +162,14 @@ class SegmentReader:
 
     def _is_growing(self) -> bool:
         """Whether a record cut off at the end of a hot segment is only being written."""
-        if not self._hot or self._scan.finished:
+        torn_at = self._scan.torn_at
+        if not self._hot or torn_at is None:
             return False
         try:
             for wait in (0.0, PATIENCE):
                 time.sleep(wait)
                 facts = self._path.stat()
-                if facts.st_size > self._scan.read_to:
+                if facts.st_size > torn_at:
                     return True
                 if abs(time.time() - facts.st_mtime) > _FRESH:
                     return False

@@ -70,7 +70,9 @@ def lines(report: Report) -> Iterator[str]:
         yield f"conflict: {conflict.topic}: two different samples {conflict.seq}"
     for gap in report.gaps:
         span = f"{format_instant(gap.start)} to {format_instant(gap.end)}"
-        yield f"gap: {gap.device or gap.topic}: {span}, {gap.expected} samples ({gap.reason})"
+        doubt = "perhaps " if gap.possible else ""
+        what = f"{doubt}{gap.expected} samples ({gap.reason})"
+        yield f"gap: {gap.device or gap.topic}: {span}, {what}"
     copies = f", {report.dropped} copies left out" if report.dropped else ""
     verdict = (
         "complete and undamaged"
@@ -107,6 +109,7 @@ def as_object(report: Report) -> dict[str, object]:
                 "to": format_instant(gap.end),
                 "expected": gap.expected,
                 "reason": gap.reason,
+                "possible": gap.possible,
             }
             for gap in report.gaps
         ],

@@ -163,8 +163,7 @@ class Writer:
         segment.append(entries, sync=durable)
         for entry in entries:
             if entry.carry is not None:
-                self._inheritance.carry[entry.topic] = dict(entry.carry)
-        self._inheritance.alive_until = max(self._inheritance.alive_until, segment.last_log_time)
+                self._inheritance.carry[entry.carry_topic or entry.topic] = dict(entry.carry)
         self._unsynced = [] if durable else self._unsynced + entries
 
     def _segment_for_next(self) -> HotSegment:

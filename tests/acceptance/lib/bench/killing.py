@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING
 
 from bench.judge import check_gaps, compare
 from bench.peer import Roc
-from bench.process import until
 from bench.recorder import Recorder, roclog
-from bench.recording import csv_rows, files, gaps, indexed, is_finished, stream
+from bench.recording import csv_rows, files, gaps, indexed, is_finished, items, stream
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-_SOONEST, _LATEST = 0.15, 2.0
-"""Seconds from the start of the process to the kill: from the interpreter's start to the samples."""
+_SOONEST, _LATEST = 0.15, 2.5
+"""Seconds from the start of the process to the kill: from the imports to the middle of sampling."""
 
 
 @dataclass
@@ -56,32 +55,28 @@ def run(folder: Path, kills: int, seed: int) -> Report:
             segment="2s",
         )
         for number in range(kills):
-            left = recorder.hot()
             with recorder.start() as child:
-                _live(random.uniform(_SOONEST, _LATEST))
+                time.sleep(random.uniform(_SOONEST, _LATEST))  # the instant of the kill is drawn
                 child.send(signal.SIGKILL)
                 child.wait()
             report.kills += 1
             report.hot_after_kill += len(recorder.hot())
             _check(folder / f"csv{number}", recorder, rocs, report)
-            del left
-        _last_run(folder, recorder, rocs, report)
+        _last_run(recorder, rocs, report)
+        for roc in rocs:
+            roc.end()
+        _check(folder / "csv", recorder, rocs, report)
+        _count(folder / "csv", recorder, rocs, report)
     return report
-
-
-def _live(seconds: float) -> None:
-    """The instant of the kill is drawn; nothing is waited for."""
-    time.sleep(seconds)
 
 
 def _check(out: Path, recorder: Recorder, rocs: list[Roc], report: Report) -> None:
     """What the crash left can be read as it is, and has everything that was cleared."""
     truths = {roc.name: roc.truth for roc in rocs}
-    if not files(recorder.directory):
-        if any(truth.cleared for truth in truths.values()):
-            report.violations.append(f"{out.name}: cleared, but there is no file")
+    found = files(recorder.directory)
+    if not any(truth.cleared for truth in truths.values()):
         return
-    for path in files(recorder.directory):
+    for path in found:
         try:
             list(stream(path))
             if path in recorder.sealed():
@@ -94,7 +89,7 @@ def _check(out: Path, recorder: Recorder, rocs: list[Roc], report: Report) -> No
         except (AssertionError, OSError) as error:
             report.violations.append(f"{out.name}: export: {error}")
             return
-        comparison = compare(rows, roc_now(rocs, name))
+        comparison = compare(rows, truth)
         where = f"{out.name}, {name}"
         kept = set(comparison.found)
         lost = [k for k in truth.cleared if k not in kept]
@@ -104,5 +99,44 @@ def _check(out: Path, recorder: Recorder, rocs: list[Roc], report: Report) -> No
         report.violations += [f"{where}: wrong: {text}" for text in comparison.wrong]
 
 
-def roc_now(rocs: list[Roc], name: str) -> object:
-    return next(roc for roc in rocs if roc.name == name).truth
+def _last_run(recorder: Recorder, rocs: list[Roc], report: Report) -> None:
+    """The next start seals what the kills left; then an end in order."""
+    left = recorder.hot()
+    cleared = {roc.name: len(roc.truth.cleared) for roc in rocs}
+
+    def goes_on() -> bool:
+        return all(len(roc.truth.cleared) > cleared[roc.name] + 1 for roc in rocs)
+
+    with recorder.start() as child:
+        child.while_it_runs(goes_on, "clears on both lines")
+        child.while_it_runs(lambda: not set(left) & set(recorder.hot()), "the crash to be sealed")
+        code = child.stop()
+    if code or recorder.hot():
+        report.violations.append(f"end: exit code {code}, hot segments {recorder.hot()}")
+    report.violations += [f"{p}: no footer" for p in recorder.sealed() if not is_finished(p)]
+    said = roclog("verify", recorder.directory)
+    if "damage" in said.stdout + said.stderr and "undamaged" not in said.stdout:
+        report.violations.append(f"verify: {said.stdout}{said.stderr}")
+
+
+def _count(out: Path, recorder: Recorder, rocs: list[Roc], report: Report) -> None:
+    for roc in rocs:
+        truth = roc.truth
+        rows = csv_rows(recorder.directory, out, roc.name)
+        comparison = compare(rows, truth)
+        seqs = [int(row["seq"]) for row in rows]
+        if seqs != list(range(1, len(seqs) + 1)):
+            report.violations.append(f"{roc.name}: sequence numbers have holes or steps: {seqs}")
+        last = comparison.found[-1]
+        missing = [k for k in comparison.missing if k < last]
+        check = check_gaps(missing, truth, gaps(recorder.directory, roc.name))
+        report.cleared[roc.name] = len(truth.cleared)
+        report.kept[roc.name] = len(comparison.found)
+        report.missing[roc.name] = len(missing)
+        report.downtimes[roc.name] = check.downtimes
+        topic = f"/{roc.name}/sample"
+        report.copies += len(items(recorder.directory, topic)) - len(rows)
+        report.violations += [f"{roc.name}: sample {k} is in no gap" for k in check.uncovered]
+        report.violations += [f"{roc.name}: nothing is missing in {g}" for g in check.empty]
+        if not check.downtimes:
+            report.violations.append(f"{roc.name}: no downtime was told")

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Self, TypeVar
 
 if TYPE_CHECKING:
@@ -68,9 +69,7 @@ class Child:
     def send(self, number: int) -> None:
         self._process.send_signal(number)
 
-    def while_it_runs(
-        self, found: Callable[[], T], what: str, seconds: float = PATIENCE
-    ) -> T:
+    def while_it_runs(self, found: Callable[[], T], what: str, seconds: float = PATIENCE) -> T:
         """As ``until``, but fails at once, with what it said, when the process has ended."""
 
         def look() -> T:
@@ -93,10 +92,8 @@ class Child:
 
     def kill(self) -> None:
         """The whole group, at once."""
-        try:
+        with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
         self._process.wait()
 
     def __enter__(self) -> Self:

@@ -11,7 +11,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "peers"))
 
-import roc  # noqa: E402 - only now can it be found
+import roc
 
 _FLAG = 300
 
