@@ -337,12 +337,11 @@ def test_places(tmp_path: Path) -> None:
     assert missing.free > 0
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_place_without_permission(tmp_path: Path) -> None:
-    tmp_path.chmod(0o555)
-    assert look_at(tmp_path).problem == "cannot be written to"
-    assert "is not writable" in look_at(tmp_path / "a").problem
-    tmp_path.chmod(0o755)
+def test_place_without_permission(unprivileged_path: Path) -> None:
+    unprivileged_path.chmod(0o555)
+    assert look_at(unprivileged_path).problem == "cannot be written to"
+    assert "is not writable" in look_at(unprivileged_path / "a").problem
+    unprivileged_path.chmod(0o755)
 
 
 def test_check_warns_of_little_space(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,172 @@
+"""Commit, rotation, and a disk that says no: faults are injected at the system calls."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from recording_bench import START, Bench, ManualClock, open_bench, sample
+
+import roclog
+from roclog.errors import StorageError
+from roclog.recording import segment
+from roclog.recording.entries import log_entry
+from roclog.recording.writer import Limits
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def counts(root: Path) -> list[float]:
+    with roclog.open(root) as recording:
+        return [float(str(s.values["count_1"])) for s in recording.samples()]
+
+
+class FailingDisk:
+    """Lets ``after`` calls of a system call through, then fails ``times`` of them."""
+
+    def __init__(self, call: Callable[..., int | None], after: int, times: int, code: int) -> None:
+        self.call = call
+        self.left = after
+        self.times = times
+        self.code = code
+        self.failed = 0
+
+    def __call__(self, *arguments: object) -> int | None:
+        if self.left > 0:
+            self.left -= 1
+        elif self.failed < self.times:
+            self.failed += 1
+            raise OSError(self.code, os.strerror(self.code))
+        return self.call(*arguments)
+
+
+def test_a_commit_is_readable_before_it_returns(bench: Bench) -> None:
+    for number in range(1, 6):
+        bench.commit(number)
+        assert counts(bench.root) == [n / 100 for n in range(1, number + 1)]
+
+
+def test_close_seals_and_a_restart_goes_on_with_the_numbers(tmp_path: Path) -> None:
+    clock = ManualClock()
+    for run in range(3):
+        bench = open_bench(tmp_path, clock)
+        assert bench.inheritance.carry.get("/roc1/sample", {}).get("seq", 0) == run
+        bench.commit(run + 1)
+        bench.close()
+        assert not list(bench.directory.hot.iterdir())
+    assert counts(tmp_path) == [0.01, 0.02, 0.03]
+    assert [s.number for s in roclog.open(tmp_path).segments] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("code", [errno.EIO, errno.ENOSPC])
+@pytest.mark.parametrize("name", ["fsync", "write"])
+@pytest.mark.parametrize("after", range(4))
+def test_one_failure_costs_a_segment_and_no_sample(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, name: str, after: int, code: int
+) -> None:
+    bench.commit(1)
+    disk = FailingDisk(getattr(os, name), after, 1, code)
+    monkeypatch.setattr(segment.os, name, disk)
+    for number in range(2, 6):
+        bench.commit(number)
+    monkeypatch.undo()
+    assert disk.failed == 1
+    assert counts(bench.root) == [0.01, 0.02, 0.03, 0.04, 0.05]
+
+
+def test_a_failed_fsync_is_never_followed_by_another_on_the_same_file(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.commit(1)
+    synced: list[tuple[str, bool]] = []
+    failing = iter([True])
+
+    def fsync(fd: int) -> None:
+        path = str(Path(f"/proc/self/fd/{fd}").readlink())
+        bad = next(failing, False)
+        synced.append((path, bad))
+        if bad:
+            raise OSError(errno.EIO, "injected")
+
+    monkeypatch.setattr(segment.os, "fsync", fsync)
+    bench.commit(2)
+    monkeypatch.undo()
+    failed = [path for path, bad in synced if bad]
+    assert len(failed) == 1
+    assert [path for path, _ in synced].count(failed[0]) == 1
+    assert counts(bench.root) == [0.01, 0.02]
+
+
+def test_a_dead_disk_fails_the_commit_and_a_living_one_takes_it_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.commit(1)
+    disk = FailingDisk(os.write, 0, 10**6, errno.ENOSPC)
+    monkeypatch.setattr(segment.os, "write", disk)
+    for number in (2, 3):
+        with pytest.raises(StorageError, match="No space left on device"):
+            bench.commit(number)
+    assert disk.failed >= 4
+    assert len(list(bench.directory.hot.iterdir())) <= 1
+    monkeypatch.undo()
+    bench.commit(2)
+    assert counts(bench.root) == [0.01, 0.02]
+
+
+def test_what_was_only_noted_is_written_again_with_the_next_segment(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.writer.note([log_entry(START, "info", "noted", "text")]).result(10)
+    monkeypatch.setattr(segment.os, "fsync", FailingDisk(os.fsync, 0, 1, errno.EIO))
+    bench.commit(1)
+    monkeypatch.undo()
+    newest = max(bench.directory.hot_segments(), key=lambda path: path.name)
+    with roclog.open(newest) as recording:
+        assert [event.kind for event in recording.events()] == ["noted"]
+
+
+def test_rotation_by_size_and_by_age(tmp_path: Path, clock: ManualClock) -> None:
+    bench = open_bench(tmp_path, clock, Limits(duration=10 * 10**9, size=6000))
+    for number in range(1, 41):
+        bench.commit(number)
+    bench.close()
+    with roclog.open(tmp_path) as recording:
+        assert len(recording.segments) > 4
+        assert [s.seq for s in recording.samples()] == list(range(1, 41))
+        assert not recording.missing
+
+
+def test_wall_clock_back_begins_a_new_segment(tmp_path: Path, clock: ManualClock) -> None:
+    bench = open_bench(tmp_path, clock)
+    bench.commit(1)
+    clock.utc -= 3600 * 10**9
+    bench.commit(2)
+    bench.commit(3)
+    clock.utc += 86400 * 10**9
+    bench.commit(4)
+    bench.close()
+    with roclog.open(tmp_path) as recording:
+        samples = list(recording.samples())
+        assert [s.seq for s in samples] == [1, 2, 3, 4]
+        assert samples[1].log_time < samples[0].log_time
+        assert len(recording.segments) == 2
+
+
+def test_log_time_is_levelled_by_milliseconds_only(bench: Bench) -> None:
+    early = sample(2, bench.clock)
+    bench.clock.advance(5_000_000)
+    bench.writer.commit([sample(1, bench.clock)]).result(10)
+    bench.writer.commit([early]).result(10)
+    with roclog.open(bench.root) as recording:
+        first, second = recording.samples()
+    assert second.log_time == first.log_time
+    assert second.read_at == START
+
+
+def test_a_second_recorder_is_told(bench: Bench) -> None:
+    with pytest.raises(StorageError, match="another roclog is recording"):
+        open_bench(bench.root, bench.clock)
