@@ -1,4 +1,4 @@
-"""Kill -9 at random instants, two devices at once; every crash is read back before the next start."""
+"""Kill -9 at random instants, two devices at once; every crash is read back before the next."""
 
 from __future__ import annotations
 

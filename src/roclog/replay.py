@@ -74,8 +74,12 @@ def groups(channel: Channel) -> list[Group]:
         )
         for (label, unit), names in found.items()
     ]
-    main = [group for group in made if group.unit or len(group.names) > 1] or made
+    main = [group for group in made if _is_main(group)] or made
     return sorted(main, key=lambda group: (group.label != "ISO", not group.unit, -len(group.names)))
+
+
+def _is_main(group: Group) -> bool:
+    return bool(group.unit) or len(group.names) > 1 or group.label in _SHORT.values()
 
 
 class Lines:

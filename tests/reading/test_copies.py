@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import struct
 import tracemalloc
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mcapfiles as files
 import pytest
@@ -25,7 +25,7 @@ ITEMS = [
 ]
 
 
-def again(seq: int, temperature: int = 250, **values: object) -> files.Item:
+def again(seq: int, temperature: int = 250, **values: Any) -> files.Item:
     """Read once more after a restart; the temperature is live, so it is no part of the payload."""
     raw = struct.pack(">3H", seq % 65536, 7, temperature)
     return files.sample(seq, at=T0 + 100 * SECOND, redelivered=True, raw=raw, **values)

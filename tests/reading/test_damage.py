@@ -37,8 +37,7 @@ def read(path: Path, octets: bytes) -> tuple[list[object], Recording | None]:
     path.write_bytes(octets)
     try:
         recording = open_recording(path)
-    except DamagedFile as problem:
-        assert problem.path == path
+    except DamagedFile:
         return [], None
     return list(recording.records()), recording
 
@@ -59,10 +58,8 @@ def test_a_hot_segment_cut_at_every_octet(tmp_path: Path) -> None:
     path = tmp_path / "hot" / "1.mcap"
     path.parent.mkdir()
     starts = [
-        octets.find(files.hot_octets([], topics=TOPICS)) + len(files.hot_octets([], topics=TOPICS))
+        len(files.hot_octets([[item] for item in ITEMS[:n]], topics=TOPICS)) for n in range(6)
     ]
-    for n in range(1, 6):
-        starts.append(len(files.hot_octets([[item] for item in ITEMS[:n]], topics=TOPICS)))
     for size in range(len(octets)):
         found, recording = read(path, octets[:size])
         complete = sum(1 for end in starts[1:] if end <= size)

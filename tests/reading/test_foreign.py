@@ -64,7 +64,7 @@ def test_equal_messages_of_others_are_no_copies(tmp_path: Path) -> None:
 def test_a_channel_that_is_not_protobuf_is_listed(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     with path.open("wb") as file:
-        writer = Writer(file)
+        writer: Any = Writer(file)
         writer.start()
         schema = writer.register_schema("Thing", "jsonschema", b'{"type": "object"}')
         channel = writer.register_channel("/thing", "json", schema)

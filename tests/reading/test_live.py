@@ -6,13 +6,14 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import mcapfiles as files
-import pytest
 from mcapfiles import T0
 
 from roclog.recording.reader import open_recording
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import pytest
 
 ITEMS = [files.event(T0), *(files.sample(seq) for seq in range(1, 6))]
 

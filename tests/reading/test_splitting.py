@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 
 import mcapfiles as files
@@ -41,7 +42,7 @@ def test_any_split_reads_the_same(
         reference = files.write_sealed(root / "reference.mcap", items)
         expected = list(open_recording(reference).records())
         edges = sorted({0, len(items), *(cut for cut in cuts if cut < len(items))})
-        parts = [items[a:b] for a, b in zip(edges, edges[1:], strict=False)]
+        parts = [items[a:b] for a, b in pairwise(edges)]
         hot = files.write_hot(root / "hot" / "1.mcap", parts)
         assert list(open_recording(hot).records()) == expected
         for number, part in enumerate(parts, start=1):

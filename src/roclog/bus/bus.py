@@ -190,14 +190,15 @@ class Bus:
         if self.timing.late_answer is not None:
             latest = asked.monotonic + self.timing.late_answer
             self._owed_until = max(latest, sent + self.timing.timeout)
+        waiter = asyncio.get_running_loop().create_future()
+        self._exchange, self._waiter = exchange, waiter
         try:
             self.link.send(exchange.adu)
         except OSError as error:
+            self._exchange = self._waiter = None
             self._give_up(_reason(error))
             raise LinkDown(f"{self.link.name}: {_reason(error)}") from error
         tally.requests += 1
-        waiter = asyncio.get_running_loop().create_future()
-        self._exchange, self._waiter = exchange, waiter
         try:
             pdu, read = await self._wait_for_answer(exchange, waiter, sent, tally)
             check_answer(request, pdu)

@@ -10,9 +10,11 @@ from roclog.cli import output
 
 if TYPE_CHECKING:
     from roclog.info import Info
+    from roclog.recording.records import Device
 
 _SEGMENT: tuple[str, ...] = ("number", "state", "size", "records", "first", "last", "file")
 _CHANNEL: tuple[str, ...] = ("channel", "records", "first", "last", "message type")
+_ABREAST = 4
 _RIGHT: tuple[str, ...] = ("number", "size", "records", "gaps", "samples", "count")
 
 
@@ -72,18 +74,20 @@ def _print_counts(found: Info) -> None:
 
 
 def _print_devices(found: Info) -> None:
-    rows = [
-        (device.name, group, name, str(value))
-        for device in found.recording.devices.values()
-        for group, values in (
-            ("", {k: getattr(device, k) for k in ("profile", "connection", "unit")}),
-            ("identity", device.identity),
-            ("configuration", device.configuration),
-        )
-        for name, value in values.items()
-        if value not in ("", None)
-    ]
-    output.print_table("devices", ("device", "", "name", "value"), rows)
+    """A column for each device, a table for each few of them."""
+    devices = sorted(found.recording.devices.values(), key=lambda device: device.name)
+    for first in range(0, len(devices), _ABREAST):
+        shown = devices[first : first + _ABREAST]
+        facts = [_facts(device) for device in shown]
+        names = dict.fromkeys(name for one in facts for name in one)
+        rows = [(*name, *(one.get(name, "") for one in facts)) for name in names]
+        output.print_table("devices", ("", "", *(device.name for device in shown)), rows)
+
+
+def _facts(device: Device) -> dict[tuple[str, str], str]:
+    found = {("device", k): str(getattr(device, k)) for k in ("profile", "connection", "unit")}
+    found |= {("identity", name): str(value) for name, value in device.identity.items()}
+    return found | {("configuration", k): str(v) for k, v in device.configuration.items()}
 
 
 def _print_problems(found: Info) -> None:
@@ -105,4 +109,6 @@ def _print_problems(found: Info) -> None:
     lines += [f"two samples {c.seq} of {c.topic} differ" for c in recording.conflicts]
     output.print_table("damage", ("what",), [(line,) for line in lines])
     if recording.dropped:
-        click.echo(f"\n{recording.dropped} copies of samples left out")
+        copies = recording.dropped
+        what = "copy of a sample" if copies == 1 else "copies of samples"
+        click.echo(f"\n{copies} {what} left out")

@@ -13,7 +13,14 @@ from typing import Final, NamedTuple
 import click
 
 from roclog.devices import PROFILES
-from roclog.simulators import PtyEndpoint, SimulatedRoc, SimulatorServer, TcpEndpoint
+from roclog.quantities import format_duration, parse_duration
+from roclog.simulators import (
+    LineSettings,
+    PtyEndpoint,
+    SimulatedRoc,
+    SimulatorServer,
+    TcpEndpoint,
+)
 
 _SIMULATED: Final = {"hiac-roc": SimulatedRoc}
 
@@ -58,6 +65,15 @@ def _address(
     return host.removeprefix("[").removesuffix("]"), int(port)
 
 
+def _duration(_: click.Context, parameter: click.Parameter, text: str | None) -> int | None:
+    if text is None:
+        return None
+    try:
+        return parse_duration(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error), param=parameter) from error
+
+
 def _positive(_: click.Context, parameter: click.Parameter, value: float) -> float:
     if not (math.isfinite(value) and value > 0):
         raise click.BadParameter(f"{value} is not a positive number", param=parameter)
@@ -77,6 +93,26 @@ def _positive(_: click.Context, parameter: click.Parameter, value: float) -> flo
     metavar="LINK",
     type=click.Path(path_type=Path),
     help="Serve Modbus RTU on a pseudo-terminal that clients open as LINK.",
+)
+@click.option(
+    "--baud",
+    metavar="N",
+    type=click.IntRange(50, 4_000_000),
+    help="With --pty: octets take their time on a half-duplex line of N Bd. Without it they take "
+    "none.",
+)
+@click.option(
+    "--turnaround",
+    metavar="DURATION",
+    callback=_duration,
+    help="With --pty: from the end of a request to the beginning of its answer, like 10ms.",
+)
+@click.option(
+    "--usb-latency",
+    metavar="DURATION",
+    callback=_duration,
+    help="With --pty: clients see octets only at ticks this far apart, like the 16ms of many USB "
+    "adapters.",
 )
 @click.option(
     "--speed",
@@ -101,6 +137,9 @@ def simulate(
     *,
     tcp: tuple[str, int] | None,
     pty: Path | None,
+    baud: int | None,
+    turnaround: int | None,
+    usb_latency: int | None,
     speed: float,
     seed: int,
     truth: Path | None,
@@ -108,17 +147,23 @@ def simulate(
     r"""Serve simulated devices.
 
     Ends with SIGINT (Ctrl-C) or SIGTERM, exit code 0. UNIT is the one that the device is delivered
-    with where it is not given.
+    with where it is not given. With --baud, --turnaround or --usb-latency, what the line has seen
+    is told at the end; a short gap is a request that began before the silence that the devices ask
+    for.
 
     \b
-    Example:
+    Examples:
       roclog simulate hiac-roc hiac-roc:139 --tcp 127.0.0.1:5020 --speed 10
+      roclog simulate hiac-roc hiac-roc:139 --pty line --baud 9600 --turnaround 10ms
     """
+    is_timed = any(option is not None for option in (baud, turnaround, usb_latency))
+    if is_timed and pty is None:
+        raise click.UsageError("--baud, --turnaround and --usb-latency are for --pty only")
     endpoint: TcpEndpoint | PtyEndpoint
     if tcp is not None and pty is None:
         endpoint = TcpEndpoint(*tcp)
     elif pty is not None and tcp is None:
-        endpoint = PtyEndpoint(pty)
+        endpoint = PtyEndpoint(pty, _line(devices, baud, turnaround or 0, usb_latency or 0))
     else:
         raise click.UsageError("one of --tcp and --pty is needed")
     with ExitStack() as files:
@@ -132,6 +177,23 @@ def simulate(
         asyncio.run(
             _serve(SimulatorServer(served, endpoint, speed=speed), endpoint, devices, speed)
         )
+    if is_timed and isinstance(endpoint, PtyEndpoint):
+        click.echo(f"line: {endpoint.statistics}", err=True)
+
+
+def _line(
+    devices: tuple[Wanted, ...], baud: int | None, turnaround: int, usb_latency: int
+) -> LineSettings:
+    """Octets have the format of the first device; the longest silence that one asks for counts."""
+    asked = [PROFILES[wanted.profile].serial for wanted in devices]
+    first = asked[0]
+    return LineSettings(
+        baud=baud,
+        character_bits=1 + first.bytesize + (first.parity != "N") + first.stopbits,
+        turnaround_ns=turnaround,
+        usb_latency_ns=usb_latency,
+        silence_characters=max(serial.silence_characters for serial in asked),
+    )
 
 
 def _with_unit(file: Path, unit: int) -> Path:
@@ -156,7 +218,7 @@ async def _serve(
         raise click.BadParameter(f"{_place(endpoint)}: {reason}", param_hint=option) from error
     try:
         names = ", ".join(f"{wanted.profile} unit {wanted.unit}" for wanted in devices)
-        text = f"serving {names} on {_place(endpoint)} at speed {speed:g}, Ctrl-C ends"
+        text = f"serving {names} on {_described(endpoint)} at speed {speed:g}, Ctrl-C ends"
         click.echo(text, err=True)
         await stop.wait()
     finally:
@@ -168,3 +230,17 @@ def _place(endpoint: TcpEndpoint | PtyEndpoint) -> str:
         return str(endpoint.link)
     host = f"[{endpoint.host}]" if ":" in endpoint.host else endpoint.host
     return f"{host}:{endpoint.port}"
+
+
+def _described(endpoint: TcpEndpoint | PtyEndpoint) -> str:
+    """Give the place and how the line there is."""
+    parts = [_place(endpoint)]
+    if isinstance(endpoint, PtyEndpoint):
+        line = endpoint.settings
+        if line.baud is not None:
+            parts.append(f"{line.baud} Bd")
+        if line.turnaround_ns:
+            parts.append(f"turnaround {format_duration(line.turnaround_ns)}")
+        if line.usb_latency_ns:
+            parts.append(f"USB latency {format_duration(line.usb_latency_ns)}")
+    return ", ".join(parts)

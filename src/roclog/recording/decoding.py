@@ -10,7 +10,7 @@ from google.protobuf.descriptor import FieldDescriptor
 
 from roclog.decode import TimeFlag
 from roclog.recording.dedupe import digest
-from roclog.recording.protobuf import MessageReader, UndecodableError, nanoseconds
+from roclog.recording.protobuf import UndecodableError, nanoseconds
 from roclog.recording.records import Channel, Clear, Event, Gap, Link, Record, Sample
 from roclog.schema import CLEAR, GAP, LINK, RAW_NUMBER, SIGNATURE, ClearResult, Origin, Reason
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mcap.records import Message
     from mcap.records import Schema as SchemaRecord
 
+    from roclog.recording.protobuf import MessageReader, Readers
     from roclog.schema import Field
 
 _TIME_FLAGS: Final = {flag.value: str(flag.name).lower() for flag in TimeFlag}
@@ -33,7 +34,6 @@ _LOG_FIELDS: Final = (
     ("file", 5, FieldDescriptor.TYPE_STRING),
     ("line", 6, FieldDescriptor.TYPE_FIXED32),
 )
-_MAX_READERS: Final = 1024
 
 
 def _described(fields: Iterable[Field]) -> tuple[tuple[str, int, int], ...]:
@@ -54,28 +54,6 @@ _KINDS: Final = {
 """The fields of the first version, so that files of every version are read."""
 
 
-class Readers:
-    """Message types by schema, made once for all files of a recording."""
-
-    def __init__(self) -> None:
-        self._readers: dict[tuple[str, bytes], MessageReader | UndecodableError] = {}
-
-    def reader(self, schema: SchemaRecord) -> MessageReader:
-        """Raises UndecodableError."""
-        key = (schema.name, schema.data)
-        if key not in self._readers:
-            if len(self._readers) >= _MAX_READERS:
-                self._readers.clear()
-            try:
-                self._readers[key] = MessageReader(schema.name, schema.data)
-            except UndecodableError as problem:
-                self._readers[key] = problem
-        found = self._readers[key]
-        if isinstance(found, UndecodableError):
-            raise found
-        return found
-
-
 class ChannelDecoder:
     """Decodes the messages of one channel of one file.
 
@@ -93,7 +71,7 @@ class ChannelDecoder:
         problem = _encoding_problem(record, schema)
         if schema is not None and not problem:
             try:
-                self._reader = readers.reader(schema)
+                self._reader = readers.reader(schema.name, schema.data)
             except UndecodableError as error:
                 self.damaged = True
                 problem = str(error)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 Carry = dict[str, dict[str, Any]]
-"""Topic to what the next run must know of it: epoch, seq, payload (hex or null), cleared, read_at."""
+"""Topic to what the next run must know: epoch, seq, payload (hex or null), cleared, read_at."""
 
 
 @dataclass

@@ -22,7 +22,7 @@ from roclog.recording.entries import intact
 from roclog.recording.records import Segment
 from roclog.recording.scan import Scan
 from roclog.recording.seal import SEGMENT_METADATA
-from roclog.recording.summary import read_metadata, read_summary
+from roclog.recording.summary import is_finished, read_metadata, read_summary
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -152,7 +152,7 @@ def _look_through(path: Path, define: Define) -> Segment:
             case Message() if scan.ours:
                 break
     state = HOT if path.parent.name == HOT else "unfinished"
-    return _segment(path, "sealed" if scan.finished else state, facts, None)
+    return _segment(path, "sealed" if is_finished(path) else state, facts, None)
 
 
 def _segment(

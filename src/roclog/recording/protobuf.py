@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 MAX_SCHEMA: Final = 2**20
 MAX_NESTED: Final = 2**20
 """Octets of a message whose type repeats or nests: two octets can become a whole object."""
+_MAX_READERS: Final = 1024
 _MOMENTS: Final = frozenset({"google.protobuf.Timestamp", "google.protobuf.Duration"})
 
 
@@ -90,6 +91,28 @@ class MessageReader:
         if field.message_type.full_name in _MOMENTS:
             return nanoseconds
         return self.values
+
+
+class Readers:
+    """Message types by schema, made once for all files of a recording."""
+
+    def __init__(self) -> None:
+        self._readers: dict[tuple[str, bytes], MessageReader | UndecodableError] = {}
+
+    def reader(self, name: str, descriptor_set: bytes) -> MessageReader:
+        """Raises UndecodableError."""
+        key = (name, descriptor_set)
+        if key not in self._readers:
+            if len(self._readers) >= _MAX_READERS:
+                self._readers.clear()
+            try:
+                self._readers[key] = MessageReader(name, descriptor_set)
+            except UndecodableError as problem:
+                self._readers[key] = problem
+        found = self._readers[key]
+        if isinstance(found, UndecodableError):
+            raise found
+        return found
 
 
 def nanoseconds(moment: Any) -> int:

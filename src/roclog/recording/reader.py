@@ -10,33 +10,34 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Final, Self, cast
 
-from roclog.errors import DamagedFile
 from roclog.quantities import parse_instant
-from roclog.recording.decoding import Readers
-from roclog.recording.dedupe import Finding, SeenMessages, SeenSamples
-from roclog.recording.listing import HOT, list_segments
-from roclog.recording.records import (
-    Channel,
-    Clear,
-    Conflict,
-    Device,
-    Event,
-    Gap,
-    Link,
-    Record,
-    Sample,
-    Segment,
-)
-from roclog.recording.segment_reader import Decoded, SegmentReader
+from roclog.recording.listing import list_segments
+from roclog.recording.protobuf import Readers
+from roclog.recording.reading_pass import ReadingPass, Sinks
+from roclog.recording.records import Device
+from roclog.recording.segment_reader import SegmentReader
 from roclog.recording.topics import Topics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
+
+    from roclog.errors import DamagedFile
+    from roclog.recording.records import (
+        Channel,
+        Clear,
+        Conflict,
+        Event,
+        Gap,
+        Link,
+        Record,
+        Sample,
+        Segment,
+    )
 
 Instant = int | str | None
 """Nanoseconds UTC, or ISO 8601."""
@@ -55,34 +56,6 @@ def open_recording(*paths: Path | str) -> Recording:
     return Recording(*paths)
 
 
-@dataclass
-class _Pass:
-    """One reading, from its first record to its last."""
-
-    segments: list[Segment]
-    choose: Callable[[Channel], bool]
-    start: int | None
-    end: int | None
-    samples: SeenSamples = field(default_factory=SeenSamples)
-    messages: SeenMessages = field(default_factory=SeenMessages)
-    whole: set[tuple[str, int]] = field(default_factory=set)
-    dropped: int = 0
-    conflicts: list[Conflict] = field(default_factory=list)
-
-    @property
-    def is_filtered(self) -> bool:
-        return self.start is not None or self.end is not None
-
-    def skips(self, segment: Segment) -> bool:
-        """Outside the times asked for, or a hot segment whose sealed copy was whole."""
-        if segment.state == HOT and segment.identity in self.whole:
-            return True
-        first, last = segment.span or (0, 2**64)
-        return (self.start is not None and last < self.start) or (
-            self.end is not None and first >= self.end
-        )
-
-
 class Recording:
     """Samples and what stands beside them; see ``open_recording``.
 
@@ -99,7 +72,7 @@ class Recording:
         self._segments: list[Segment] = []
         self._damage: dict[tuple[Path, int, str], DamagedFile] = {}
         self._devices: dict[str, Device] = {}
-        self._pass = _Pass([], lambda _: True, None, None)
+        self._pass = self._reading(lambda _: True, None, None)
         self._look()
 
     def __enter__(self) -> Self:
@@ -144,7 +117,7 @@ class Recording:
     @property
     def missing(self) -> list[tuple[str, bytes, int, int]]:
         """Topic, epoch, first and last seq that are absent between others in the latest reading."""
-        return list(self._pass.samples.holes())
+        return self._pass.missing
 
     def samples(
         self,
@@ -215,92 +188,24 @@ class Recording:
         """Each segment with its records; arguments as for ``records``."""
         self._look()
         choose = self._topics.selection(channel, device, kinds)
-        self._pass = reading = _Pass(self._segments, choose, _instant(start), _instant(end))
-        return self._read(reading)
+        self._pass = self._reading(choose, _instant(start), _instant(end))
+        return iter(self._pass)
 
     def chosen_channels(self, channel: Patterns = None) -> dict[str, Channel]:
         """Those that match and can be decoded, by topic. Raises ValueError: no such topic."""
         choose = self._topics.selection(channel, None, None)
         return {t: c for t, c in sorted(self.channels.items()) if choose(c) and not c.problem}
 
+    def _reading(
+        self, choose: Callable[[Channel], bool], start: int | None, end: int | None
+    ) -> ReadingPass:
+        opened = partial(SegmentReader, readers=self._readers, listed=self._topics.channels)
+        sinks = Sinks(self._add_damage, self._describe, self._moved)
+        return ReadingPass(self._segments, opened, choose, sinks, start=start, end=end)
+
     def _look(self) -> None:
         known = {segment.path: segment for segment in self._segments}
         self._segments = list_segments(self._paths, known, self._topics.define)
-
-    def _read(self, reading: _Pass) -> Iterator[tuple[Segment, Iterator[Record]]]:
-        for segment in reading.segments:
-            if not reading.skips(segment):
-                records = self._read_segment(reading, segment)
-                yield segment, records
-                for _ in records:
-                    pass
-
-    def _read_segment(self, reading: _Pass, segment: Segment) -> Iterator[Record]:
-        """Raises nothing for what the file is like; that becomes damage."""
-        reading.messages.begin(segment.identity)
-        try:
-            yield from self._open_segment(reading, segment)
-        except FileNotFoundError:
-            moved = self._moved(segment)
-            if moved is None:
-                self._add_damage(DamagedFile(segment.path, 0, "removed before it was read"))
-            elif moved.identity not in reading.whole:
-                yield from self._open_segment(reading, moved)
-
-    def _open_segment(self, reading: _Pass, segment: Segment) -> Iterator[Record]:
-        file = SegmentReader(
-            segment,
-            self._readers,
-            self._topics.channels,
-            reading.choose,
-            start=reading.start,
-            end=reading.end,
-        )
-        try:
-            for decoded in file:
-                if not self._is_copy(reading, segment, decoded):
-                    yield decoded.record
-            if segment.identity is not None and segment.state == "sealed" and not file.damage:
-                reading.whole.add(segment.identity)
-        finally:
-            for problem in file.damage:
-                self._add_damage(problem)
-            self._describe(file.metadata)
-
-    def _is_copy(self, reading: _Pass, segment: Segment, decoded: Decoded) -> bool:
-        record = decoded.record
-        if not isinstance(record, Sample):
-            return reading.messages.is_copy(record.topic, decoded.message.data)
-        if not decoded.decoder.has_key:
-            return False
-        payload = decoded.decoder.payload(record, decoded.message.data)
-        finding = reading.samples.add(record.topic, record.epoch, record.seq, payload)
-        if finding is Finding.NEW and record.redelivered and reading.is_filtered:
-            finding = self._look_back(reading, segment, decoded, payload)
-        if finding is Finding.CONFLICT:
-            conflict = Conflict(record.topic, record.epoch, record.seq, record.log_time)
-            reading.conflicts.append(conflict)
-        reading.dropped += finding is Finding.COPY
-        return finding is Finding.COPY
-
-    def _look_back(self, reading: _Pass, segment: Segment, copy: Decoded, payload: int) -> Finding:
-        """Whether a redelivered sample stands before the times asked for as well."""
-        wanted = cast("Sample", copy.record)
-        key = (wanted.epoch, wanted.seq)
-        here = {one.path: n for n, one in enumerate(reading.segments)}.get(segment.path)
-        earlier = reading.segments[: None if here is None else here + 1]
-        for one in reversed(earlier):
-            reader = SegmentReader(
-                one, self._readers, self._topics.channels, lambda c: c.topic == wanted.topic
-            )
-            for found in reader:
-                record = found.record
-                if isinstance(record, Sample) and (record.epoch, record.seq) == key:
-                    if found.message == copy.message:
-                        break
-                    same = found.decoder.payload(record, found.message.data) == payload
-                    return Finding.COPY if same else Finding.CONFLICT
-        return Finding.NEW
 
     def _moved(self, segment: Segment) -> Segment | None:
         """The sealed copy of a hot segment that has gone since the files were listed."""

@@ -21,7 +21,7 @@ from roclog.recording.summary import read_summary
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator, Mapping
 
-    from roclog.recording.decoding import Readers
+    from roclog.recording.protobuf import Readers
     from roclog.recording.records import Channel, Record, Segment
 
 _Definition = TypeVar("_Definition", SchemaRecord, ChannelRecord)
@@ -84,6 +84,7 @@ class SegmentReader:
                         self._define(found.offset, self._channels, channel)
                     case Metadata() as metadata if metadata.name.startswith(_OURS):
                         self._keep(found.offset, metadata)
+            self._check_end()
         except FileNotFoundError:
             raise
         except DamagedFile as problem:
@@ -93,6 +94,13 @@ class SegmentReader:
             self._note(self._scan.octets, f"cannot be read further ({error.strerror or error})")
         finally:
             self._take_damage()
+
+    def _check_end(self) -> None:
+        """Only a hot segment may end anywhere."""
+        scan = self._scan
+        told = bool(scan.damage) and scan.damage[-1].offset == scan.octets
+        if not (scan.finished or self._hot or told):
+            self._note(scan.octets, "the end of the file is missing")
 
     def _message(self, offset: int, message: Message) -> Iterator[Decoded]:
         number = message.channel_id

@@ -65,6 +65,12 @@ def read_summary(path: Path) -> Summary | None:
     return summary
 
 
+def is_finished(path: Path) -> bool:
+    """Whether the file ends with a footer, whatever stands before it. Raises OSError."""
+    with path.open("rb") as file:
+        return _footer(file) is not None
+
+
 def read_metadata(path: Path, offset: int) -> Metadata | None:
     """The metadata record at ``offset``, which holds no checksum but its own ``crc32`` key.
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mcap.records import Channel as ChannelRecord
     from mcap.records import Schema as SchemaRecord
 
-    from roclog.recording.decoding import Readers
+    from roclog.recording.protobuf import Readers
     from roclog.recording.records import Channel
 
 

@@ -80,7 +80,8 @@ def lines(report: Report) -> Iterator[str]:
         else f"{len(report.damage)} damaged parts, {len(report.missing)} holes, "
         f"{len(report.conflicts)} conflicts, {len(report.gaps)} gaps"
     )
-    yield f"{report.samples} samples in {report.segments} segments{copies}: {verdict}"
+    segments = f"{report.segments} segment{'s' * (report.segments != 1)}"
+    yield f"{report.samples} samples in {segments}{copies}: {verdict}"
 
 
 def as_object(report: Report) -> dict[str, object]:

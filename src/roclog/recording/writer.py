@@ -110,6 +110,7 @@ class Writer:
             self._thread.join()
 
     def _submit(self, job: _Job) -> Future[None]:
+        job.done.set_running_or_notify_cancel()  # who stops waiting does not stop the writer
         self._jobs.put(job)
         return job.done
 

@@ -2,6 +2,16 @@
 
 from roclog.simulators.endpoints import PtyEndpoint, TcpEndpoint
 from roclog.simulators.hiac_roc import SimulatedRoc
+from roclog.simulators.serial_line import LineSettings, SerialLine, Statistics
 from roclog.simulators.server import SimulatedDevice, SimulatorServer
 
-__all__ = ["PtyEndpoint", "SimulatedDevice", "SimulatedRoc", "SimulatorServer", "TcpEndpoint"]
+__all__ = [
+    "LineSettings",
+    "PtyEndpoint",
+    "SerialLine",
+    "SimulatedDevice",
+    "SimulatedRoc",
+    "SimulatorServer",
+    "Statistics",
+    "TcpEndpoint",
+]

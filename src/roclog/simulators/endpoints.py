@@ -3,9 +3,9 @@
 The simulators take framing, CRC and MBAP header from pymodbus on purpose: the logger has its own,
 so a mistake in either shows as a device that does not answer.
 
-From pymodbus 3.16.1 this relies on the servers' attribute `decoder` being used for every
-connection made after it was replaced, on `ModbusPDU.datastore_update` giving the answer, and on
-`NoSuchIdException` with `ignore_missing_devices` giving silence.
+From pymodbus 3.16.1 this relies on the servers' attributes `decoder` and `framer` being used for
+every connection made after they were replaced, on `ModbusPDU.datastore_update` giving the answer,
+and on `NoSuchIdException` with `ignore_missing_devices` giving silence.
 """
 
 from __future__ import annotations
@@ -20,18 +20,39 @@ from pymodbus.pdu import DecodePDU, ModbusPDU
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from roclog.simulators.pty_line import PtyLine
+from roclog.simulators.serial_line import LineSettings, SerialLine
 
 if TYPE_CHECKING:
     import os
 
     from pymodbus.datastore import ModbusServerContext
 
+    from roclog.simulators.serial_line import Statistics
     from roclog.simulators.server import Answer
 
 logger = logging.getLogger(__name__)
 
 SMALLEST_FRAME: Final = 4
+LONGEST_FRAME: Final = 256
+
+FIXED_LENGTHS: Final = {
+    1: 8,
+    2: 8,
+    3: 8,
+    4: 8,
+    5: 8,
+    6: 8,
+    7: 4,
+    11: 4,
+    12: 4,
+    17: 4,
+    22: 10,
+    24: 6,
+}
+"""Octets of a request with address and CRC, by function code."""
+
+COUNTED: Final = {15: (6, 9), 16: (6, 9), 20: (2, 5), 21: (2, 5), 23: (10, 13)}
+"""Place of the octet that counts those behind it, and the octets of a request besides those."""
 
 
 class TcpEndpoint:
@@ -63,21 +84,32 @@ class TcpEndpoint:
 
 
 class PtyEndpoint:
-    """Modbus RTU on a pseudo-terminal that clients open as `link`; absent units are silent."""
+    """Modbus RTU on a pseudo-terminal that clients open as `link`; absent units are silent.
+
+    `settings` tell how the line is; without them octets take no time on it.
+    """
 
     is_gateway = False
 
-    def __init__(self, link: str | os.PathLike[str]) -> None:
+    def __init__(self, link: str | os.PathLike[str], settings: LineSettings | None = None) -> None:
         self.link = link
-        self._line: PtyLine | None = None
+        self.settings = settings or LineSettings()
+        self._line: SerialLine | None = None
         self._server: ModbusSerialServer | None = None
+        self._statistics: Statistics | None = None
+
+    @property
+    def statistics(self) -> Statistics | None:
+        """What the line has seen, also after closing; None before it is opened."""
+        return self._statistics if self._line is None else self._line.statistics()
 
     async def open(self, answer: Answer) -> None:
-        self._line = PtyLine(self.link)
+        self._line = SerialLine(self.link, settings=self.settings)
         try:
             server = ModbusSerialServer(
                 _unused_device(), port=self._line.server_port, ignore_missing_devices=True
             )
+            server.framer = _RtuFramer
             await _serve(server, answer, self._line.server_port)
         except BaseException:
             await self.close()
@@ -90,6 +122,7 @@ class PtyEndpoint:
             self._server = None
         if self._line is not None:
             self._line.close()
+            self._statistics = self._line.statistics()
             self._line = None
 
 
@@ -132,10 +165,6 @@ class _Request(ModbusPDU):
         self._pdu = pdu
         self._answer = answer
 
-    @classmethod
-    def calculateRtuFrameSize(cls, data: bytes) -> int:  # noqa: N802 - name given by pymodbus
-        return len(data)
-
     async def datastore_update(self, context: ModbusServerContext, device_id: int) -> ModbusPDU:
         del context
         try:
@@ -149,22 +178,48 @@ class _Request(ModbusPDU):
 
 
 class _Decoder(DecodePDU):
-    """Takes every function code, and on a serial line tells where a request ends.
-
-    RTU gives no length, and pymodbus knows none for private function codes. A request is complete
-    when the octets received so far end in the CRC of the others; pymodbus tries this from the
-    first octet, then from the second and so on, so noise in front of a request is skipped.
-    """
+    """Takes every function code."""
 
     def __init__(self, answer: Answer) -> None:
         super().__init__(is_server=True)
         self._answer = answer
 
-    def lookupPduClass(self, data: bytes) -> type[ModbusPDU] | None:  # noqa: N802
-        if len(data) < SMALLEST_FRAME:
-            return None
-        crc = int.from_bytes(data[-2:], "big")
-        return _Request if FramerRTU.check_CRC(data[:-2], crc) else None
-
     def decode(self, frame: bytes) -> ModbusPDU | None:
         return _Request(bytes(frame), self._answer)
+
+
+class _RtuFramer(FramerRTU):
+    """Finds the request that ends with the octets received so far.
+
+    A request is as long as its function code says and ends in the CRC of its other octets. RTU
+    gives no length for private function codes: there the CRC alone tells, after each octet. Noise
+    in front of a request and requests that were broken off are skipped. While the first octets may
+    be a request that is still arriving, only a whole one of known length is taken in its place:
+    among the many pairs of a beginning and an end in a long request, some CRC is right by chance.
+    """
+
+    def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
+        size = _request_size(data, 0)
+        is_arriving = size is not None and len(data) < size <= LONGEST_FRAME
+        for start in range(len(data) - SMALLEST_FRAME + 1):
+            size = _request_size(data, start)
+            if size != len(data) - start and (is_arriving or size is not None):
+                continue
+            if self.check_CRC(data[start:-2], int.from_bytes(data[-2:], "big")):
+                return len(data), data[start], 0, data[start + 1 : -2]
+        return 0, 0, 0, self.EMPTY
+
+
+def _request_size(data: bytes, start: int) -> int | None:
+    """Octets of the request at `start` with its CRC; None when nothing tells it.
+
+    More than there are when the octet that tells it has not arrived.
+    """
+    present = len(data) - start
+    if present < 2:
+        return present + 1
+    function = data[start + 1]
+    if function not in COUNTED:
+        return FIXED_LENGTHS.get(function)
+    place, others = COUNTED[function]
+    return data[start + place] + others if place < present else present + 1

@@ -174,7 +174,8 @@ def link(at: int) -> Item:
 def event(
     at: int, name: str = "roc1.baseline", message: str = "first block", level: int = 2
 ) -> Item:
-    data = Log(level=level, message=message, name=name)
+    data: Any = Log()
+    data.level, data.message, data.name = level, message, name
     data.timestamp.seconds, data.timestamp.nanos = divmod(at, SECOND)
     return Item("/log", at, data.SerializeToString(), publish_time=at)
 
@@ -223,7 +224,7 @@ def write_sealed(
     """With the official writer."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as file:
-        writer = Writer(file, **{"enable_data_crcs": True, **options})
+        writer: Any = Writer(file, **{"enable_data_crcs": True, **options})
         writer.start(library=library)
         for name, values in (facts() if metadata is None else metadata).items():
             writer.add_metadata(name, values)
@@ -248,17 +249,17 @@ def hot_octets(
     metadata: dict[str, dict[str, str]] | None = None,
 ) -> bytes:
     """A hot segment: a chunk for the definitions, one for each commit, no footer."""
-    builder = RecordBuilder()
+    builder: Any = RecordBuilder()
     Header("", LIBRARY).write(builder)
     for name, values in (facts() if metadata is None else metadata).items():
         Metadata(name, values).write(builder)
-    definitions = RecordBuilder()
+    definitions: Any = RecordBuilder()
     ids: dict[str, int] = {}
     for number, topic in enumerate(topics, start=1):
         ids[topic.topic] = number
         Schema(number, topic.schema_data, "protobuf", topic.schema_name).write(definitions)
         Channel(number, topic.topic, topic.encoding, topic.metadata, number).write(definitions)
-    octets = MAGIC + builder.end() + chunk(definitions.end(), 0, 0)
+    octets: bytes = MAGIC + builder.end() + chunk(definitions.end(), 0, 0)
     for commit in commits:
         for item in commit:
             Message(
@@ -271,7 +272,7 @@ def hot_octets(
 
 def chunk(content: bytes, start: int, end: int, **replaced: Any) -> bytes:
     """An uncompressed chunk record; ``replaced`` lies about it."""
-    builder = RecordBuilder()
+    builder: Any = RecordBuilder()
     said: dict[str, Any] = {
         "compression": "",
         "data": content,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bench.process import PATIENCE, Child, until
 from bench.truth import Truth
@@ -19,7 +19,7 @@ class Roc:
     """A device with a name. Options are those of tests/peers/roc.py, by their Python names."""
 
     def __init__(
-        self, folder: Path, name: str = "roc1", *, line: str = "tcp", **options: object
+        self, folder: Path, name: str = "roc1", *, line: str = "tcp", **options: Any
     ) -> None:
         self.name = name
         self.line = line

@@ -67,7 +67,8 @@ class Child:
         return self.stdout.read_text(errors="replace")
 
     def send(self, number: int) -> None:
-        self._process.send_signal(number)
+        """To the group: a tracer around the process takes no signals."""
+        os.killpg(self._process.pid, number)
 
     def while_it_runs(self, found: Callable[[], T], what: str, seconds: float = PATIENCE) -> T:
         """As ``until``, but fails at once, with what it said, when the process has ended."""

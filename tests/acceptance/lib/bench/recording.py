@@ -37,12 +37,13 @@ class Item:
 
 @dataclass(frozen=True)
 class Gap:
-    """UTC nanoseconds; ``expected`` samples."""
+    """UTC nanoseconds; ``expected`` samples. possible: the recorder says that it cannot tell."""
 
     since: int
     to: int
     expected: int
     reason: str
+    possible: bool
 
 
 def stream(path: Path) -> Iterator[Item]:
@@ -112,7 +113,8 @@ def gaps(directory: Path, device: str) -> list[Gap]:
     for item in items(directory, f"/{device}/gap"):
         m = item.values
         names = m.DESCRIPTOR.fields_by_name["reason"].enum_type.values_by_number
-        found.append(Gap(getattr(m, "from"), m.to, m.expected, names[m.reason].name.lower()))
+        reason = names[m.reason].name.lower()
+        found.append(Gap(getattr(m, "from"), m.to, m.expected, reason, m.possible))
     return list(dict.fromkeys(found))
 
 
