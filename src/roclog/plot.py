@@ -26,6 +26,7 @@ _INK: Final = "#33393f"
 _UNITS: Final = {"Cel": "°C", "1/mL": "particles per mL", "[ppm]": "ppm", "s": "s"}
 _NAMES: Final = {"iso_code": "ISO 4406 code", "count": "count"}
 _MOST_PANELS: Final = 12
+_MOST_COLUMNS: Final = 4
 _MARKERS_BELOW: Final = 120
 _NAN: Final = float("nan")
 _DECADES: Final = 30.0
@@ -148,25 +149,43 @@ def _draw(panels: list[Panel], gaps: list[Gap], title: str, path: Path) -> None:
         "text.color": _INK,
         "path.simplify": True,
     }
+    columns = _columns(panels)
+    deepest = max(columns, key=len)
+    heights = [1.3 if len(panel.lines) > 1 else 0.8 for panel in deepest]
+    size = (3.5 + 7.5 * min(len(columns), 2.2), 1.4 + 2.3 * sum(heights))
     with rc_context(style):
-        heights = [1.3 if len(panel.lines) > 1 else 0.8 for panel in panels]
-        figure = Figure(figsize=(11, 1.4 + 2.3 * sum(heights)), dpi=130, layout="constrained")
+        figure = Figure(figsize=size, dpi=130, layout="constrained")
         FigureCanvasAgg(figure)
         grid: Any = figure.subplots(
-            len(panels), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
+            len(deepest),
+            len(columns),
+            sharex=True,
+            sharey="row" if len(columns) > 1 else False,
+            squeeze=False,
+            gridspec_kw={"height_ratios": heights},
         )
-        axes = list(grid[:, 0])
-        explained: set[str] = set()
-        several = len({panel.device for panel in panels}) > 1
-        for axis, panel in zip(axes, panels, strict=True):
-            shaded = [gap for gap in gaps if gap.device == panel.device]
-            _draw_panel(axis, panel, shaded, legend=panel.device not in explained)
-            explained.add(panel.device)
-            if several:
-                axis.set_title(panel.device, loc="left", fontsize=10, fontweight="bold")
-        _draw_time(axes[-1], panels)
+        for column, axes in zip(columns, grid.T, strict=True):
+            shaded = [gap for gap in gaps if gap.device == column[0].device]
+            for panel, axis in zip(column, axes, strict=False):
+                _draw_panel(axis, panel, shaded, legend=panel is column[0])
+                if column is not columns[-1] and axis.get_legend() is not None:
+                    axis.get_legend().remove()
+            for axis in axes[len(column) :]:
+                axis.set_axis_off()
+            _draw_time(axes[len(column) - 1], column)
+            if len(columns) > 1:
+                axes[0].set_title(column[0].device, loc="left", fontsize=10, fontweight="bold")
         figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
         figure.savefig(path, format="png")
+
+
+def _columns(panels: list[Panel]) -> list[list[Panel]]:
+    """A column for each device while their panels are the same, else all in one."""
+    devices: dict[str, list[Panel]] = {}
+    for panel in panels:
+        devices.setdefault(panel.device, []).append(panel)
+    alike = len({tuple(panel.key for panel in column) for column in devices.values()}) == 1
+    return list(devices.values()) if alike and len(devices) <= _MOST_COLUMNS else [panels]
 
 
 def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap], *, legend: bool) -> None:

@@ -144,13 +144,14 @@ def _report(paths: Paths) -> bool:
 
 
 def _plot(paths: Paths) -> bool:
-    try:
-        from roclog.plot import plot_samples  # noqa: PLC0415
-    except ModuleNotFoundError:
-        return False
+    """Whether the plot could be drawn; it needs the extra ``plot``."""
+    from roclog.plot import plot_samples  # noqa: PLC0415
     from roclog.recording.reader import open_recording  # noqa: PLC0415
 
-    plot_samples(open_recording(paths.recordings), paths.plot)
+    try:
+        plot_samples(open_recording(paths.recordings), paths.plot)
+    except ImportError:
+        return False
     return True
 
 

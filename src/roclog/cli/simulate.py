@@ -144,7 +144,7 @@ def simulate(
     seed: int,
     truth: Path | None,
 ) -> None:
-    r"""Serve simulated devices.
+    """Serve simulated devices.
 
     Ends with SIGINT (Ctrl-C) or SIGTERM, exit code 0. UNIT is the one that the device is delivered
     with where it is not given. With --baud, --turnaround or --usb-latency, what the line has seen
@@ -152,10 +152,10 @@ def simulate(
     for.
 
     \b
-    Examples:
+    Example:
       roclog simulate hiac-roc hiac-roc:139 --tcp 127.0.0.1:5020 --speed 10
       roclog simulate hiac-roc hiac-roc:139 --pty line --baud 9600 --turnaround 10ms
-    """
+    """  # noqa: D301 - click wants the character itself
     is_timed = any(option is not None for option in (baud, turnaround, usb_latency))
     if is_timed and pty is None:
         raise click.UsageError("--baud, --turnaround and --usb-latency are for --pty only")

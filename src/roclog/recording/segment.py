@@ -107,12 +107,13 @@ def _head(
     for name, values in metadata.items():
         Metadata(name, protected(values)).write(builder)
     head = builder.end()
-    numbers: dict[str, int] = {}
+    numbers: dict[tuple[str, bytes], int] = {}
     for identifier, channel in enumerate(channels, start=1):
-        if channel.schema_name not in numbers:
-            numbers[channel.schema_name] = len(numbers) + 1
+        key = (channel.schema_name, channel.schema)
+        if key not in numbers:
+            numbers[key] = len(numbers) + 1
             Schema(
-                id=numbers[channel.schema_name],
+                id=numbers[key],
                 name=channel.schema_name,
                 encoding="protobuf",
                 data=channel.schema,
@@ -122,7 +123,7 @@ def _head(
             topic=channel.topic,
             message_encoding="protobuf",
             metadata=dict(channel.metadata),
-            schema_id=numbers[channel.schema_name],
+            schema_id=numbers[key],
         ).write(builder)
     return MAGIC + head + _chunk(builder.end(), 0, 0)
 

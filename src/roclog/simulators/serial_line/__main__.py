@@ -9,7 +9,7 @@ import signal
 import sys
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import click
 
@@ -122,7 +122,7 @@ def main(
 class _Signals:
     """SIGINT and SIGTERM as something that can be waited for together with standard input."""
 
-    def __enter__(self) -> _Signals:
+    def __enter__(self) -> Self:
         self._arrived, self._arrival = os.pipe()
         os.set_blocking(self._arrival, False)
         for number in (signal.SIGINT, signal.SIGTERM):

@@ -1,0 +1,278 @@
+"""What a register map cannot say: every mistake is found, and all of them at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from decimal import Decimal
+from typing import Any
+
+import pytest
+
+from roclog.devices import PROFILES
+from roclog.errors import RegisterMapError
+from roclog.register_map import (
+    Block,
+    FlagAndClear,
+    Point,
+    RegisterMap,
+    SerialDefaults,
+    SplitCalendar,
+    Table,
+    WordType,
+    camel_case,
+)
+from roclog.register_map_check import RESERVED_NAMES, check_register_map
+from roclog.schema import SIGNATURE
+
+U16, U32, TEXT = WordType.U16, WordType.U32, WordType.TEXT
+MM_SS = WordType.MINUTES_SECONDS
+
+
+def point(name: str = "level", offset: int = 0, type_: WordType = U16, **more: Any) -> Point:
+    return Point(name=name, offset=offset, type=type_, **more)
+
+
+def block(*points: Point, name: str = "tank", **more: Any) -> Block:
+    given = {"table": Table.HOLDING_REGISTERS, "address": 100, "count": 10, **more}
+    return Block(name=name, points=points or (point(),), **given)
+
+
+def device(*samples: Block, **more: Any) -> RegisterMap:
+    given = {
+        "name": "tank-1",
+        "title": "Tank",
+        "source": "a manual",
+        "unit": 1,
+        "serial": SerialDefaults(baudrate=9600),
+        "answer_limit": 1_000_000,
+        **more,
+    }
+    return RegisterMap(samples=samples or (block(),), **given)
+
+
+def flagged(**more: Any) -> Block:
+    trigger = FlagAndClear(**{"flag": 9, "payload": ((0, 2),), **more})
+    return block(trigger=trigger)
+
+
+def facts(unit: str = "s", type_: WordType = MM_SS) -> tuple[Block, ...]:
+    return (block(point("period", 0, type_, unit=unit), name="setup"),)
+
+
+def line(**more: Any) -> RegisterMap:
+    return device(serial=SerialDefaults(**{"baudrate": 9600, **more}))
+
+
+def calendar(*offsets: int) -> SplitCalendar:
+    year, month_day, hour, minute_second = offsets
+    return SplitCalendar(year=year, month_day=month_day, hour=hour, minute_second=minute_second)
+
+
+def many(last: Point) -> Block:
+    return block(*(point(f"p{n}", n) for n in range(64)), last, count=65)
+
+
+MISTAKES = {
+    "map named in capitals": (device(name="Tank"), "name: must be lower case"),
+    "map without a name": (device(name=""), "name: must be lower case"),
+    "unit": (device(unit=256), "unit: 256 is not 0 to 255"),
+    "answer limit": (device(answer_limit=0), "answer_limit: must be"),
+    "no samples": (replace(device(), samples=()), "samples: no block"),
+    "baudrate": (line(baudrate=0), "serial: must have a baudrate"),
+    "seven bits": (line(bytesize=7), "serial: must have a baudrate, 8 data bits"),
+    "stop bits": (line(stopbits=3), "serial: must have"),
+    "parity": (line(parity="M"), "serial: parity 'M' is not"),
+    "too little silence": (line(silence_characters=3.4), "serial: a silence of 3.4"),
+    "silence without end": (line(silence_characters=float("inf")), "serial: a silence of inf"),
+    "silence not a number": (line(silence_characters=float("nan")), "serial: a silence of nan"),
+    "two flags": (
+        device(flagged(), replace(flagged(), name="other")),
+        "blocks tank and other: only one can have a flag",
+    ),
+    "flag among the facts": (
+        device(facts=(replace(flagged(), name="setup"),)),
+        "block setup: facts are read once",
+    ),
+    "text in a sample": (device(block(point(type_=TEXT, words=2))), "text (level) is for facts"),
+    "block twice": (device(block(), block()), "block tank: named twice"),
+    "blocks alike": (
+        device(block(name="tank_1"), block(name="tank1")),
+        "block tank1: differs from tank_1 only in _",
+    ),
+    "cycle of nothing": (device(facts=facts(), cycle=("setup", ())), "cycle: no points"),
+    "cycle of no point": (
+        device(facts=facts(), cycle=("setup", ("hold",))),
+        "cycle: no point setup.hold",
+    ),
+    "cycle of a sample": (device(cycle=("tank", ("level",))), "cycle: no point tank.level"),
+    "cycle in minutes": (
+        device(facts=facts("min"), cycle=("setup", ("period",))),
+        "cycle: setup.period is not in seconds",
+    ),
+    "block name": (device(block(name="Tank")), "block Tank: name must be lower case"),
+    "block name with a dash": (device(block(name="ta-nk")), "name must be lower case"),
+    "block name taken": (device(block(name="gap")), "name must be lower case"),
+    "empty block": (device(block(count=0)), "count 0 is not 1 to 125"),
+    "large block": (device(block(count=126)), "count 126 is not 1 to 125"),
+    "beyond the last register": (
+        device(block(address=65530)),
+        "registers 65530 to 65539 do not exist",
+    ),
+    "before the first register": (device(block(address=-1)), "registers -1 to 8 do not exist"),
+    "no points": (device(replace(block(), points=())), "block tank: no points"),
+    "point name": (device(block(point("Level"))), "'Level' cannot be a name"),
+    "point name with a newline": (device(block(point("level\n"))), "cannot be a name"),
+    "point name too long": (device(block(point("p" * 49))), "cannot be a name"),
+    "point name taken": (device(block(point("seq"))), "'seq' cannot be a name"),
+    "bit name taken": (device(block(point(bits=((0, "raw"),)))), "'raw' cannot be a name"),
+    "field twice": (
+        device(block(point(), point("level", 1))),
+        "field level: named twice",
+    ),
+    "bit and point alike": (
+        device(block(point("a", bits=((0, "b"),)), point("b", 1))),
+        "field b: named twice",
+    ),
+    "fields alike in JSON": (
+        device(block(point("count_1"), point("count1", 1))),
+        "field count1: differs from count_1 only in _",
+    ),
+    "point outside": (device(block(point(offset=10))), "offset 10 with 1 words is outside"),
+    "point half outside": (
+        device(block(point(offset=9, type_=U32))),
+        "offset 9 with 2 words is outside",
+    ),
+    "point before": (device(block(point(offset=-1))), "offset -1 with 1 words is outside"),
+    "text without words": (
+        device(facts=(block(point(type_=TEXT), name="setup"),)),
+        "offset 0 with 0 words is outside",
+    ),
+    "words of a number": (device(block(point(words=2))), "only text has a number of words"),
+    "shared register": (
+        device(block(point("a", 0, U32), point("b", 1))),
+        "point b: shares register 1 with a",
+    ),
+    "scale of zero": (device(block(point(scale=Decimal(0)))), "scale 0 is not a number from"),
+    "negative scale": (device(block(point(scale=Decimal(-1)))), "scale -1 is not a number"),
+    "scale not a number": (device(block(point(scale=Decimal("nan")))), "scale NaN is not"),
+    "endless scale": (device(block(point(scale=Decimal("1e400")))), "scale 1E+400 is not"),
+    "scaled minutes": (
+        device(block(point(type_=MM_SS, scale=Decimal(2)))),
+        "minutes_seconds cannot have a scale",
+    ),
+    "half a range": (device(block(point(low=Decimal(0)))), "low and high go together"),
+    "range upside down": (
+        device(block(point(low=Decimal(2), high=Decimal(1)))),
+        "low 2 is above high 1",
+    ),
+    "endless range": (
+        device(block(point(low=Decimal(0), high=Decimal("inf")))),
+        "0 to Infinity is not a range",
+    ),
+    "range not a number": (
+        device(block(point(low=Decimal("nan"), high=Decimal(1)))),
+        "NaN to 1 is not a range",
+    ),
+    "range of a text": (
+        device(
+            facts=(
+                block(point(type_=TEXT, words=1, low=Decimal(0), high=Decimal(1)), name="setup"),
+            )
+        ),
+        "text has no range",
+    ),
+    "too many ranges": (
+        device(many(point("last", 64, low=Decimal(0), high=Decimal(1)))),
+        "point last: only the first 64 points",
+    ),
+    "too many types with illegal words": (
+        device(many(point("last", 64, MM_SS))),
+        "point last: only the first 64 points",
+    ),
+    "bit outside": (device(block(point(bits=((16, "b"),)))), "bit 16 is outside 16 bits"),
+    "bit below": (device(block(point(bits=((-1, "b"),)))), "bit -1 is outside 16 bits"),
+    "bit twice": (device(block(point(bits=((1, "b"), (1, "c"))))), "bit 1: named twice"),
+    "bits of a scaled value": (
+        device(block(point(bits=((1, "b"),), scale=Decimal("0.1")))),
+        "bits need an unscaled unsigned integer",
+    ),
+    "bits of minutes": (
+        device(block(point(type_=MM_SS, bits=((1, "b"),)))),
+        "bits need an unscaled unsigned integer",
+    ),
+    "two meanings": (device(block(point(meanings=((0, "a"), (0, "b"))))), "0: two meanings"),
+    "order of no point": (
+        device(block(must_not_increase=("ghost",))),
+        "must_not_increase: ghost is not a 32-bit point",
+    ),
+    "order of a 16-bit point": (
+        device(block(must_not_increase=("level",))),
+        "must_not_increase: level is not a 32-bit point",
+    ),
+    "time outside": (device(block(time=calendar(1, 2, 3, 10))), "time: offset 10 is outside"),
+    "time twice": (device(block(time=calendar(1, 2, 3, 3))), "time: one register is used twice"),
+    "flag outside": (device(flagged(flag=10)), "flag: offset 10 is outside the block"),
+    "flag is a point": (device(flagged(flag=0)), "point level: shares register 0 with the flag"),
+    "flag that clears to itself": (device(flagged(new=0)), "new and clear are the same value"),
+    "flag of 17 bits": (device(flagged(new=0x10000)), "new and clear must fit 16 bits"),
+    "flag below zero": (device(flagged(clear=-1)), "new and clear must fit 16 bits"),
+    "flag in input registers": (
+        device(replace(flagged(), table=Table.INPUT_REGISTERS)),
+        "only a holding register can be cleared",
+    ),
+    "no payload": (device(flagged(payload=())), "payload: empty"),
+    "payload of nothing": (device(flagged(payload=((2, 0),))), "payload: 0 words from offset 2"),
+    "payload outside": (device(flagged(payload=((5, 6),))), "payload: offset 10 is outside"),
+    "payload with the flag": (device(flagged(payload=((8, 2),))), "payload: contains the flag"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistakes(mistake: str) -> None:
+    register_map, text = MISTAKES[mistake]
+    with pytest.raises(RegisterMapError) as caught:
+        check_register_map(register_map)
+    assert any(text in problem for problem in caught.value.problems), caught.value.problems
+
+
+def test_all_mistakes_are_told_at_once() -> None:
+    bad = device(
+        block(point("Level", scale=Decimal(0)), address=-1, name="Tank"),
+        name="Tank",
+        unit=300,
+    )
+    with pytest.raises(RegisterMapError) as caught:
+        check_register_map(bad)
+    assert len(caught.value.problems) == 6 - 1
+    assert str(caught.value).count("\n") == 4
+    assert all(text.startswith("register map Tank: ") for text in str(caught.value).splitlines())
+
+
+def test_a_map_without_mistakes() -> None:
+    check_register_map(device())
+    check_register_map(device(flagged(), block(name="other")))
+    check_register_map(device(facts=facts(), cycle=("setup", ("period",)), unit=0))
+    check_register_map(device(block(address=65526), block(address=0, count=1, name="first")))
+    check_register_map(device(many(point("last", 64))))
+
+
+def test_no_field_of_a_sample_can_be_hidden_by_a_point() -> None:
+    assert {field.name for field in SIGNATURE} | {"raw"} <= RESERVED_NAMES
+
+
+def test_blocks_by_name() -> None:
+    roc = PROFILES["hiac-roc"]
+    assert [b.name for b in roc.blocks] == ["identity", "configuration", "sample"]
+    assert roc.block("sample") is roc.samples[0]
+    with pytest.raises(KeyError):
+        roc.block("ghost")
+
+
+def test_tables_and_their_functions() -> None:
+    assert Table.HOLDING_REGISTERS.read_function == 3
+    assert Table.INPUT_REGISTERS.read_function == 4
+
+
+def test_camel_case() -> None:
+    assert camel_case("iso_code_1") == "IsoCode1"
+    assert camel_case("a1b") == "A1b"
