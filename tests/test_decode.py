@@ -137,7 +137,8 @@ def test_another_number_of_words_is_a_mistake_of_the_caller(count: int) -> None:
         decode(SAMPLE, [0] * count)
 
 
-def stamp(year: int, month: int, day: int, hour: int, minute: int, second: int) -> list[int]:
+def stamp(fields: tuple[int, int, int, int, int, int]) -> list[int]:
+    year, month, day, hour, minute, second = fields
     words = [0] * SAMPLE.count
     words[1:5] = [year, month << 8 | day, hour, minute << 8 | second]
     return words
@@ -153,7 +154,7 @@ def stamp(year: int, month: int, day: int, hour: int, minute: int, second: int) 
     ],
 )
 def test_device_time(fields: tuple[int, int, int, int, int, int], nanoseconds: int) -> None:
-    decoded = decode(SAMPLE, stamp(*fields))
+    decoded = decode(SAMPLE, stamp(fields))
     assert (decoded.device_time, decoded.time_flags) == (nanoseconds, TimeFlag(0))
 
 
@@ -178,7 +179,7 @@ def test_device_time(fields: tuple[int, int, int, int, int, int], nanoseconds: i
     ],
 )
 def test_stamps_that_give_no_device_time(fields: tuple[int, int, int, int, int, int]) -> None:
-    decoded = decode(SAMPLE, stamp(*fields))
+    decoded = decode(SAMPLE, stamp(fields))
     assert (decoded.device_time, decoded.time_flags) == (0, TimeFlag.DATE_INVALID)
 
 

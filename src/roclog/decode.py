@@ -129,9 +129,8 @@ def word_order_doubts(block: Block, words: Sequence[int], order: WordOrder) -> l
             raw = int(_raw(point, words[point.offset : point.offset + 2], order)[0])
             values[point.name] = raw if point.scale is None else scaled(raw, point.scale)
             if not _in_range(point, values[point.name]):
-                doubts.append(
-                    f"{point.name} is {values[point.name]}, above its documented {point.high}"
-                )
+                span = f"{point.low} to {point.high}"
+                doubts.append(f"{point.name} is {values[point.name]}, documented is {span}")
     for left, right in pairwise(block.must_not_increase):
         if values[right] > values[left]:
             doubts.append(f"{right} is larger than {left}")

@@ -97,7 +97,7 @@ class SampleMaker:
         *,
         possible: bool = False,
     ) -> Entry:
-        """``after`` and ``before`` in ns UTC; ``possible``: whether any is missing cannot be told."""
+        """``after`` and ``before`` in ns UTC; ``possible``: nobody can tell if any is missing."""
         data = GAP.pack(iter((after, before, expected, reason, possible)))
         return Entry(f"/{self._device}/gap", now, now, 0, data)
 

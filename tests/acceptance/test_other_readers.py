@@ -46,7 +46,7 @@ def recorder(tmp_path_factory: pytest.TempPathFactory) -> Recorder:
     assert recorder.hot()
     comparison = compare(csv_rows(recorder.directory, folder / "csv"), truth)
     assert comparison.clean
-    assert set(truth.cleared) <= set(comparison.found)
+    assert set(truth.acknowledged) <= set(comparison.found)
     return recorder
 
 

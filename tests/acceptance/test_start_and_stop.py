@@ -8,7 +8,7 @@ import signal
 from typing import TYPE_CHECKING
 
 import pytest
-from bench.judge import compare
+from bench.judge import check_gaps, compare
 from bench.needs import need
 from bench.peer import Roc
 from bench.recorder import Recorder
@@ -101,3 +101,30 @@ def test_being_stopped_in_the_middle_of_a_commit(tmp_path: Path) -> None:
 
 def reads(roc: Roc, k: int) -> list[object]:
     return [line for line in roc.truth.of("read") if line["k"] == k]
+
+
+def test_downtime_is_told_for_each_device(tmp_path: Path) -> None:
+    """A run in which one device does not answer leaves its downtime to the run after it."""
+    with (
+        Roc(tmp_path, "roc1", samples=10**6) as roc1,
+        Roc(tmp_path, "roc2", samples=10**6, seed=2) as roc2,
+    ):
+        parts = (roc.toml('timeout = "200ms"', DEVICE) for roc in (roc1, roc2))
+        recorder = Recorder(tmp_path, *parts, segment="1s")
+        with recorder.start() as child:
+            record_some(recorder, roc2, child, 5)
+        ended = roc2.truth.made[max(roc2.truth.cleared)]["wall_ns"]
+        roc2.child.send(signal.SIGSTOP)
+        with recorder.start() as child:
+            record_some(recorder, roc1, child, 8)
+        roc2.child.send(signal.SIGCONT)
+        with recorder.start() as child:
+            record_some(recorder, roc2, child, 5)
+            assert child.stop() == 0
+        truth = roc2.end()
+    comparison = compare(csv_rows(recorder.directory, tmp_path / "csv", "roc2"), truth)
+    missing = [k for k in comparison.missing if k < comparison.found[-1]]
+    told = [gap for gap in gaps(recorder.directory, "roc2") if gap.reason == "downtime"]
+    assert check_gaps(missing, truth, told).uncovered == []
+    assert len(told) == 1
+    assert told[0].since < ended + 1e9

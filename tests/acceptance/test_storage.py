@@ -45,7 +45,7 @@ def fill(ballast: Path) -> None:
 def test_a_full_disk(tmp_path: Path) -> None:
     """Recording goes on when space returns; until then nothing is cleared."""
     disk = tmp_path / "disk"
-    with small_disk(disk, "160k"), Roc(tmp_path, samples=10**6) as roc:
+    with small_disk(disk, "96k"), Roc(tmp_path, samples=10**6) as roc:
         ballast = disk / "ballast"
         recorder = Recorder(tmp_path, roc.toml(device=DEVICE), directory=disk / "recordings")
         with recorder.start() as child:

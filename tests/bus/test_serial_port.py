@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import os
 import termios
 import time
 from contextlib import suppress
@@ -147,7 +148,7 @@ def test_a_port_that_comes_back_as_another_one_under_its_name(path: Path) -> Non
     async def ask() -> None:
         assert words((await bus.transact(1, READ, tally)).pdu)[0] == 300
 
-    async def refuse(match: str) -> None:
+    async def refuse(match: str | None) -> None:
         with pytest.raises(LinkDown, match=match):
             await bus.transact(1, READ, tally)
 
@@ -160,13 +161,14 @@ def test_a_port_that_comes_back_as_another_one_under_its_name(path: Path) -> Non
         with SerialPeer(path):
             runner.run(ask())
             first = path.readlink()
-            keeps_its_number = path.readlink().open("rb")
-        runner.run(refuse("lost|cannot be opened|not open"))
+            keeps_its_number = os.open(first, os.O_RDWR | os.O_NOCTTY)
+        runner.run(refuse(None))
         path.unlink()
         runner.run(asyncio.sleep(0.5))
         runner.run(refuse("cannot be opened: No such file or directory"))
         runner.run(asyncio.sleep(0.5))
-        with keeps_its_number, SerialPeer(path):
+        with SerialPeer(path):
+            os.close(keeps_its_number)
             assert path.readlink() != first
             runner.run(ask())
             runner.run(ask())
@@ -233,6 +235,14 @@ def test_whatever_a_vanishing_port_raises_is_a_lost_link(
     asyncio.run(main())
 
 
+def outcome(link: SerialLink) -> type[OSError] | None:
+    try:
+        link.send(bytes(1_000_000))
+    except OSError as error:
+        return type(error)
+    return None
+
+
 def test_a_port_that_takes_only_a_part(path: Path) -> None:
     async def main() -> None:
         link = SerialLink(str(path), 9600, 8, "N", 1)
@@ -241,8 +251,9 @@ def test_a_port_that_takes_only_a_part(path: Path) -> None:
         await link.open(ignore, ignore)
         with pytest.raises(OSError, match="of 1000000 octets"):
             link.send(bytes(1_000_000))
-        with pytest.raises(BlockingIOError):
-            link.send(bytes(1_000_000))
+        refused = [outcome(link) for _ in range(100)]
+        assert BlockingIOError in refused
+        assert set(refused) <= {OSError, BlockingIOError}
         link.close()
         link.close()
 

@@ -1,8 +1,8 @@
 """Every state a power cut can leave of a hot segment: commits are read, wrong data never.
 
-The writes and fsyncs that HotSegment really makes are recorded; then, for every instant, each sector
-written since the last fsync may have reached the disk, not, or hold garbage, and the file may have
-any length in between.
+The writes and fsyncs that HotSegment really makes are recorded; then, for every instant, each
+sector written since the last fsync may have reached the disk, not, or hold garbage, and the file
+may have any length in between.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from recording_bench import CHANNELS, ManualClock, sample
 
 import roclog
 from roclog.errors import DamagedFile
-from roclog.recording import segment
 from roclog.recording.segment import HotSegment
 
 if TYPE_CHECKING:
@@ -54,8 +53,8 @@ def recorded(path: Path, monkeypatch: pytest.MonkeyPatch, samples: int) -> list[
         real_sync(fd)
         done.append(("fsync", 0, b""))
 
-    monkeypatch.setattr(segment.os, "write", write)
-    monkeypatch.setattr(segment.os, "fsync", fsync)
+    monkeypatch.setattr(os, "write", write)
+    monkeypatch.setattr(os, "fsync", fsync)
     clock = ManualClock()
     hot = HotSegment(path, "roclog test", CHANNELS, {"roclog.segment": FACTS})
     for number in range(1, samples + 1):

@@ -12,7 +12,6 @@ from recording_bench import START, Bench, ManualClock, open_bench, sample
 
 import roclog
 from roclog.errors import StorageError
-from roclog.recording import segment
 from roclog.recording.entries import log_entry
 from roclog.recording.writer import Limits
 
@@ -70,7 +69,7 @@ def test_one_failure_costs_a_segment_and_no_sample(
 ) -> None:
     bench.commit(1)
     disk = FailingDisk(getattr(os, name), after, 1, code)
-    monkeypatch.setattr(segment.os, name, disk)
+    monkeypatch.setattr(os, name, disk)
     for number in range(2, 6):
         bench.commit(number)
     monkeypatch.undo()
@@ -92,7 +91,7 @@ def test_a_failed_fsync_is_never_followed_by_another_on_the_same_file(
         if bad:
             raise OSError(errno.EIO, "injected")
 
-    monkeypatch.setattr(segment.os, "fsync", fsync)
+    monkeypatch.setattr(os, "fsync", fsync)
     bench.commit(2)
     monkeypatch.undo()
     failed = [path for path, bad in synced if bad]
@@ -106,7 +105,7 @@ def test_a_dead_disk_fails_the_commit_and_a_living_one_takes_it_again(
 ) -> None:
     bench.commit(1)
     disk = FailingDisk(os.write, 0, 10**6, errno.ENOSPC)
-    monkeypatch.setattr(segment.os, "write", disk)
+    monkeypatch.setattr(os, "write", disk)
     for number in (2, 3):
         with pytest.raises(StorageError, match="No space left on device"):
             bench.commit(number)
@@ -121,7 +120,7 @@ def test_what_was_only_noted_is_written_again_with_the_next_segment(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.writer.note([log_entry(START, "info", "noted", "text")]).result(10)
-    monkeypatch.setattr(segment.os, "fsync", FailingDisk(os.fsync, 0, 1, errno.EIO))
+    monkeypatch.setattr(os, "fsync", FailingDisk(os.fsync, 0, 1, errno.EIO))
     bench.commit(1)
     monkeypatch.undo()
     newest = max(bench.directory.hot_segments(), key=lambda path: path.name)

@@ -6,12 +6,21 @@ import asyncio
 import logging
 import os
 import socket
+import time
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
 import pytest
+from pymodbus.framer import FramerRTU
 
-from roclog.simulators import PtyEndpoint, SimulatedRoc, SimulatorServer, TcpEndpoint
+from roclog.simulators import (
+    LineSettings,
+    PtyEndpoint,
+    SimulatedRoc,
+    SimulatorServer,
+    TcpEndpoint,
+    endpoints,
+)
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable
@@ -165,6 +174,75 @@ def test_rtu_request_that_arrives_octet_by_octet(tmp_path: Path, read_octets: Re
     asyncio.run(main())
 
 
+WRITE_123_REGISTERS = "8A 10 05 00 00 7B F6" + 117 * " 00 01" + " 8A 6E 00 09"
+
+
+def test_rtu_long_request_octet_by_octet_is_not_taken_apart(
+    tmp_path: Path, read_octets: ReadOctets
+) -> None:
+    inner = frame("8A 6E 01 02")  # a whole request, of a function without known length
+    request = frame(WRITE_123_REGISTERS + inner.hex() + "00 01")
+    assert len(request) == 255
+
+    async def main() -> None:
+        async with pty(tmp_path / "roc", read_octets, SimulatedRoc(seed=7)) as line:
+            for octet in request[:-1]:
+                line.send(bytes((octet,)))
+                for _ in range(3):
+                    await asyncio.sleep(0)
+            refused = frame("8A 90 02")
+            assert await line.ask(request[-1:], len(refused)) == refused
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    "request_adu",
+    [
+        "8A 03 01 2C 00 1B",
+        "8A 06 01 2C 00 00",
+        "8A 07",
+        "8A 11",
+        "8A 16 00 04 00 F2 00 25",
+        "8A 18 04 DE",
+        "8A 14 07 06 00 04 00 01 00 02",
+        "8A 17 00 03 00 06 00 0E 00 03 06 00 FF 00 FF 00 FF",
+        "8A 0F 00 13 00 0A 02 CD 01",
+        WRITE_123_REGISTERS + " 00 01" * 4,
+    ],
+    ids=lambda text: text[:5],
+)
+def test_rtu_request_of_known_length_is_cheap(
+    request_adu: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checks = []
+    check = FramerRTU.check_CRC
+
+    def counted(octets: bytes, remainder: int) -> bool:
+        checks.append(len(octets))
+        return check(octets, remainder)
+
+    monkeypatch.setattr(endpoints._RtuFramer, "check_CRC", staticmethod(counted))
+    framer = endpoints._RtuFramer(endpoints._Decoder(lambda unit, pdu: None))
+    request = frame(request_adu)
+    for size in range(len(request)):
+        assert framer.decode(request[:size]) == (0, 0, 0, b"")
+    assert framer.decode(request) == (len(request), 0x8A, 0, request[1:-2])
+    # Inside long ones there are octets that look like short requests just complete.
+    assert sum(checks) <= 5 * len(request)
+
+
+@pytest.mark.parametrize("private", ["8A 2B 84 00 08 00 02", "8A 6E 01 02 03"])
+def test_rtu_private_request_behind_noise(private: str) -> None:
+    framer = endpoints._RtuFramer(endpoints._Decoder(lambda unit, pdu: None))
+    request = frame(private)
+    for noise in (b"", b"\xff\xfe\xfd", READ_BLOCK[:-1] + b"\0"):
+        octets = noise + request
+        answers = [framer.decode(octets[:size]) for size in range(len(octets) + 1)]
+        assert answers.pop() == (len(octets), 0x8A, 0, request[1:-2])
+        assert set(answers) == {(0, 0, 0, b"")}
+
+
 @pytest.mark.parametrize(
     "unheard",
     [
@@ -173,8 +251,9 @@ def test_rtu_request_that_arrives_octet_by_octet(tmp_path: Path, read_octets: Re
         READ_BLOCK[:-1] + b"\x4e",
         READ_BLOCK[:5],
         b"\x00\xff\x8a",
+        frame(WRITE_123_REGISTERS)[:20],
     ],
-    ids=["absent unit", "unit 0", "bad CRC", "torn", "noise"],
+    ids=["absent unit", "unit 0", "bad CRC", "torn", "noise", "torn long request"],
 )
 def test_rtu_silence_then_the_next_request_is_answered(
     tmp_path: Path, read_octets: ReadOctets, unheard: bytes
@@ -211,6 +290,24 @@ def test_several_units_on_one_line(tmp_path: Path, read_octets: ReadOctets) -> N
             for unit in ("01", "8A", "F7"):
                 expected = frame(f"{unit} 03 02 00 {unit}")
                 assert await line.ask(frame(f"{unit} 03 00 64 00 01"), 7) == expected
+
+    asyncio.run(main())
+
+
+def test_line_with_wire_time_tells_what_it_saw(tmp_path: Path, read_octets: ReadOctets) -> None:
+    async def main() -> None:
+        settings = LineSettings(baud=115_200, turnaround_ns=1_000_000)
+        endpoint = PtyEndpoint(tmp_path / "roc", settings)
+        assert endpoint.statistics is None
+        async with SimulatorServer([SimulatedRoc(seed=7)], endpoint):
+            line = Line(tmp_path / "roc", read_octets)
+            begin = time.monotonic()
+            assert len(await line.ask(READ_BLOCK, 59)) == 59
+            assert time.monotonic() - begin >= 0.001 + (8 + 59) * 10 / 115_200
+            line.close()
+        seen = endpoint.statistics
+        assert seen is not None
+        assert (seen.requests, seen.answers, seen.answer_octets) == (1, 1, 59)
 
     asyncio.run(main())
 

@@ -164,9 +164,14 @@ class _Request(ModbusPDU):
         self.function_code = pdu[0]
         self._pdu = pdu
         self._answer = answer
+        self._is_handled = False
 
     async def datastore_update(self, context: ModbusServerContext, device_id: int) -> ModbusPDU:
         del context
+        if self._is_handled:
+            # pymodbus handles the latest request as often as requests came in one turn of the loop.
+            raise NoSuchIdException
+        self._is_handled = True
         try:
             answer = self._answer(device_id, self._pdu)
         except Exception:

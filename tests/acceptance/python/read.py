@@ -8,18 +8,24 @@ from __future__ import annotations
 import json
 import struct
 import sys
-
-sys.modules["roclog"] = None  # type: ignore[assignment]  # an import would fail
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from google.protobuf.json_format import MessageToDict
 from mcap.exceptions import EndOfFile
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+if TYPE_CHECKING:
+    from mcap.reader import McapReader
+
+sys.modules["roclog"] = None  # type: ignore[assignment]  # an import from here on would fail
+
 
 def read(path: str) -> None:
-    with open(path, "rb") as file:
+    with Path(path).open("rb") as file:
         factories = [DecoderFactory()]
+        reader: McapReader
         if "/hot/" in path:
             reader = NonSeekingReader(file, validate_crcs=True, decoder_factories=factories)
         else:
@@ -40,4 +46,4 @@ def read(path: str) -> None:
 
 for name in sys.argv[1:]:
     read(name)
-assert not [name for name in sys.modules if name.startswith("roclog.")]
+assert not [name for name in sys.modules if name.startswith("roclog.")], "the logger was used"

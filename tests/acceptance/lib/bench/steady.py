@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bench.judge import Comparison, GapCheck, check_gaps, compare
+from bench.judge import Comparison, GapCheck, check_gaps, compare, excuse
 from bench.peer import Roc
 from bench.recorder import Recorder
 from bench.recording import csv_rows, gaps
@@ -33,7 +33,7 @@ class Outcome:
             f"{made} made, {len(c.found)} kept, {len(c.missing)} missing "
             f"(gaps say {g.expected}), {len(c.twice)} twice, {len(c.wrong)} wrong, "
             f"{len(g.uncovered)} uncovered, {len(g.empty)} empty gaps, "
-            f"{g.idle} possible gaps without any, exit {self.code}"
+            f"{g.idle} possible gaps without any, {g.excused} excused, exit {self.code}"
         )
 
 
@@ -70,6 +70,7 @@ def run(
     last = comparison.found[-1]
     comparison.missing = [k for k in comparison.missing if k < last]
     found = check_gaps(comparison.missing, truth, gaps(directory, "roc1"))
+    excuse(found, truth, cycle)
     return Outcome(rows, truth, comparison, found, directory, code)
 
 

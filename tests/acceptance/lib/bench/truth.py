@@ -44,5 +44,10 @@ class Truth:
         return [line["k"] for line in self.of("clear") if line["k"]]
 
     @property
+    def acknowledged(self) -> list[int]:
+        """Samples that stood there when a clear arrived; another may have come just before it."""
+        return [line["arrived_k"] for line in self.of("clear") if line["arrived_k"]]
+
+    @property
     def ended(self) -> bool:
         return bool(self.lines) and self.lines[-1]["event"] == "summary"
