@@ -100,7 +100,7 @@ def test_a_connection_that_ends_fails_the_pending_request_at_once(behaviour: Beh
             begun = time.monotonic()
             with pytest.raises(LinkDown, match=r"reset by peer|peer closed"):
                 await bus.transact(1, READ, Tally())
-            assert time.monotonic() - begun < 0.05
+            assert time.monotonic() - begun < 0.5  # it takes no time; a busy machine does
 
     asyncio.run(main())
 

@@ -9,14 +9,17 @@ import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 import serial
+from click.testing import CliRunner
+
+from roclog.simulators.serial_line.__main__ import main
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 COMMAND = [sys.executable, "-m", "roclog.simulators.serial_line"]
 REQUEST, ANSWER = b"request.", b"answer!"
@@ -122,8 +125,8 @@ def test_client_may_open_its_side_again(line: Command) -> None:
     ],
 )
 def test_wrong_usage(arguments: list[str], text: str) -> None:
-    result = subprocess.run(
-        [*COMMAND, *arguments], capture_output=True, text=True, check=False, timeout=20
-    )
-    assert result.returncode == 2
+    descriptors = len(list(Path("/proc/self/fd").iterdir()))
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2
+    assert len(list(Path("/proc/self/fd").iterdir())) == descriptors
     assert text in " ".join(result.stderr.split())

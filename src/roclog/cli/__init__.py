@@ -158,7 +158,7 @@ def _close_pipe() -> None:
 @click.option("--debug", is_flag=True, help="Show where an unexpected error happened.")
 @click.version_option(package_name="roclog", message="%(prog)s %(version)s")
 def cli(*, debug: bool) -> None:
-    r"""Record Modbus devices in the field: every sample on disk before the device may forget it.
+    """Record Modbus devices in the field: every sample on disk before the device may forget it.
 
     \b
     Without hardware and configuration:

@@ -38,7 +38,7 @@ class Place:
 @click.option("--probe", is_flag=True, help="Contact every device, read only.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def check(config: Path, *, probe: bool, as_json: bool) -> None:
-    r"""Validate CONFIG and show what will be recorded.
+    """Validate CONFIG and show what will be recorded.
 
     All problems are reported at once, each with its key. Exit code 3: the configuration cannot be
     used; 6: the recording directory cannot; 4: with --probe, no device answered.

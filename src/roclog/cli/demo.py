@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     help="Folder to create; if it exists, a number is put behind its name.",
 )
 def demo(duration: int, out: Path) -> None:
-    r"""Record simulated devices and show what comes out.
+    """Record simulated devices and show what comes out.
 
     Three particle counters, two on one serial line (a pseudo terminal) and one behind TCP, at 30
     times their real speed. They are recorded as real ones would be; at the end the exported CSV is

@@ -52,7 +52,7 @@ def export(
     raw_text: bool,
     force: bool,
 ) -> None:
-    r"""Write recordings as CSV or NDJSON, one file for each channel: DIR/roc1.sample.csv.
+    """Write recordings as CSV or NDJSON, one file for each channel: DIR/roc1.sample.csv.
 
     \b
     Example:

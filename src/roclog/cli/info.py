@@ -22,7 +22,7 @@ _RIGHT: tuple[str, ...] = ("number", "size", "records", "gaps", "samples", "coun
 @output.paths_argument
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def info(paths: tuple[str, ...], *, as_json: bool) -> None:
-    r"""Show what recordings hold: segments, channels, gaps, copies, damage, devices, events.
+    """Show what recordings hold: segments, channels, gaps, copies, damage, devices, events.
 
     PATH is a segment, a directory, or a quoted glob of them. Everything is read and checked.
 

@@ -62,7 +62,7 @@ poll = "1s"                     # shorter than the time between two samples of t
 @click.argument("file", default="roclog.toml", type=click.Path(path_type=Path, allow_dash=True))
 @click.option("--force", is_flag=True, help="Overwrite FILE.")
 def init(file: Path, *, force: bool) -> None:
-    r"""Write a commented configuration.
+    """Write a commented configuration.
 
     It records a simulated device as it is, and lists the serial ports of this computer. FILE is
     roclog.toml where it is not given; - is stdout.

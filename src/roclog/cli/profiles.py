@@ -26,7 +26,7 @@ _POINT_HEADINGS: Final = ("address", "words", "name", "type", "scale", "unit", "
 @click.argument("name", required=False)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def profiles(name: str | None, *, as_json: bool) -> None:
-    r"""Show the built-in register maps.
+    """Show the built-in register maps.
 
     Without NAME the list of them. Addresses are PDU addresses, counted from 0.
 

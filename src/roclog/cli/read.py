@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @click.argument("device")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def read(config: Path, device: str, *, as_json: bool) -> None:
-    r"""Read every block of DEVICE once and print it decoded. Nothing is written or cleared.
+    """Read every block of DEVICE once and print it decoded. Nothing is written or cleared.
 
     \b
     Example:

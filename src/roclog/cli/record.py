@@ -33,7 +33,7 @@ def duration_option(_: click.Context, parameter: click.Parameter, text: str | No
 )
 @click.option("--quiet", is_flag=True, help="Only warnings on stderr.")
 def record(config: Path, duration: int | None, *, quiet: bool) -> None:
-    r"""Record every device of CONFIG.
+    """Record every device of CONFIG.
 
     A device's flag is cleared only after its sample is on disk. SIGINT (Ctrl-C) or SIGTERM finish
     the commit in hand, seal the recording and exit 0.

@@ -12,7 +12,7 @@ from roclog.errors import DamagedFile, StorageError
 @click.command()
 @click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 def recover(paths: tuple[Path, ...]) -> None:
-    r"""Seal what a crash left below each recording directory of PATHS.
+    """Seal what a crash left below each recording directory of PATHS.
 
     `roclog record` does the same when it starts. Running it twice does no harm; while a recorder is
     at work in the directory, nothing is touched.

@@ -47,7 +47,7 @@ def replay(
     channels: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    r"""Print the samples of recordings in the order and at the pace they were recorded.
+    """Print the samples of recordings in the order and at the pace they were recorded.
 
     With --channel whatever such channels hold: '*/gap', '/log', '*' for everything.
 

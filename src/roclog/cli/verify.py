@@ -12,7 +12,7 @@ from roclog.cli import output
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @click.pass_context
 def verify(context: click.Context, paths: tuple[str, ...], *, as_json: bool) -> None:
-    r"""Check every checksum and the sequence of the samples; list the gaps. Changes nothing.
+    """Check every checksum and the sequence of the samples; list the gaps. Changes nothing.
 
     Exit code 0: all is there. 5: damage or gaps were found.
 

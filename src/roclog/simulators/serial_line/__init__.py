@@ -4,7 +4,7 @@ A pseudo-terminal accepts any baud rate and ignores it. Between the two of this 
 half-duplex RS-485 line, worked out in `wire`; any client and any server can be put on either end,
 because both are ordinary terminals:
 
-    python -m roclog.simulators.serial_line --baud 9600 --link-a /tmp/client --link-b /tmp/server
+    python -m roclog.simulators.serial_line --baud 9600 --link-a client --link-b server
 """
 
 from roclog.simulators.serial_line.line import SerialLine

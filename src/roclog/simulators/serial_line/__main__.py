@@ -125,13 +125,17 @@ class _Signals:
     def __enter__(self) -> Self:
         self._arrived, self._arrival = os.pipe()
         os.set_blocking(self._arrival, False)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda _number, _frame: None)
+        self._former = {
+            number: signal.signal(number, lambda _number, _frame: None)
+            for number in (signal.SIGINT, signal.SIGTERM)
+        }
         signal.set_wakeup_fd(self._arrival)
         return self
 
     def __exit__(self, *_: object) -> None:
         signal.set_wakeup_fd(-1)
+        for number, handler in self._former.items():
+            signal.signal(number, handler)
         os.close(self._arrived)
         os.close(self._arrival)
 

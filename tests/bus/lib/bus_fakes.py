@@ -7,13 +7,30 @@ import math
 import selectors
 from typing import TYPE_CHECKING, Any
 
+from wire import mbap_frame, rtu_frame
+
+from roclog.bus.bus import Bus, Timing
 from roclog.clock import Instant
+from roclog.modbus.request import ReadRegisters, WriteRegister
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
+    from roclog.bus.bus import Answer
+
 MS = 1_000_000
 START = 1_000 * 10**9
+UNIT = 138
+SILENCE = 5 * MS
+LATE = 1000 * MS
+RTU = Timing(timeout=500 * MS, late_answer=LATE, silence=SILENCE, character=MS)
+TCP = Timing(timeout=500 * MS)
+READ = ReadRegisters(3, 300, 2)
+OTHER = ReadRegisters(3, 400, 2)
+CLEAR = WriteRegister(300, 0)
+PERMITTED = frozenset({(UNIT, 300, 0)})
+SLACK = 1000
+"""Nanoseconds by which the event loop rounds a sleep up."""
 UTC_OFFSET = 1_800_000_000 * 10**9
 
 
@@ -115,3 +132,36 @@ class FakeLink:
     def _say(self, octets: bytes) -> None:
         if self.is_open and self._receive is not None:
             self._receive(octets)
+
+
+def registers(request: bytes) -> bytes:
+    """The answer's PDU to a read: every register holds its own address."""
+    first, count = int.from_bytes(request[1:3]), int.from_bytes(request[3:5])
+    data = b"".join((first + index & 0xFFFF).to_bytes(2) for index in range(count))
+    return bytes([request[0], len(data)]) + data
+
+
+def answer_to(adu: bytes) -> bytes:
+    """The whole RTU answer to a read or a write."""
+    return rtu_frame(adu[0], registers(adu[1:-2]) if adu[1] < 5 else adu[1:-2])
+
+
+def make(timing: Timing = RTU) -> tuple[FakeLink, Bus]:
+    link = FakeLink()
+    return link, Bus(link, timing, VirtualClock(), PERMITTED)
+
+
+def device(link: FakeLink, delay: int = 10 * MS) -> None:
+    """The other end answers every RTU frame, its first octet coming ``delay`` after its last."""
+    link.on_send = lambda adu: link.say(answer_to(adu), len(adu) * MS + delay)
+
+
+async def outcome(transaction: Coroutine[object, object, Answer]) -> Answer | Exception:
+    try:
+        return await transaction
+    except Exception as error:  # noqa: BLE001 - the error is the outcome
+        return error
+
+
+def tcp_answer(adu: bytes) -> bytes:
+    return mbap_frame(int.from_bytes(adu[:2]), adu[6], registers(adu[7:]))
