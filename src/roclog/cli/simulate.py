@@ -155,7 +155,7 @@ def simulate(
     Example:
       roclog simulate hiac-roc hiac-roc:139 --tcp 127.0.0.1:5020 --speed 10
       roclog simulate hiac-roc hiac-roc:139 --pty line --baud 9600 --turnaround 10ms
-    """ - click wants the character itself
+    """
     is_timed = any(option is not None for option in (baud, turnaround, usb_latency))
     if is_timed and pty is None:
         raise click.UsageError("--baud, --turnaround and --usb-latency are for --pty only")
