@@ -40,4 +40,4 @@ def make_bus(connection: Connection, devices: list[Device], clock: Clock) -> Bus
         for block in device.profile.samples
         if block.trigger is not None
     )
-    return Bus(link, timing, clock, permitted)
+    return Bus(link, timing, clock, permitted, len(devices))

@@ -65,6 +65,7 @@ class FlaggedBlock:
         self._clock = clock
         self._acknowledge = acknowledge
         self._read_until = read_until
+        self._known_until = read_until
         self._quiet_at = 0
         self._clear_after = 0
         self._refused = False
@@ -144,6 +145,7 @@ class FlaggedBlock:
         for news in verdict.news:
             kept = self._reading(news.seen)
             self._outbox.add(self._maker.sample(news, kept, self._memory))
+            self._known_until = kept.known_until
             if not news.redelivered:
                 self._follow(kept, reading)
         if not verdict.again and self._memory.candidate is None:
@@ -195,9 +197,16 @@ class FlaggedBlock:
         self._certain_before = not_after or 0
         ended = self._clock.now().utc
         guarded = not_after is not None
-        self._outbox.note(
-            self._maker.clear(self._memory, asked.utc, ended, result, code, guarded=guarded)
+        note = self._maker.clear(
+            self._memory,
+            asked.utc,
+            ended,
+            result,
+            code,
+            guarded=guarded,
+            read_at=self._known_until,
         )
+        self._outbox.note(note)
 
     def _tell_refusal(self, refusal: ExceptionAnswer) -> None:
         self._clear_after = self._clock.now().monotonic + _REFUSED_PAUSE

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from roclog.samples import Reading, SampleMaker
 
 _LINK_PERIOD: Final = 60 * 10**9
+_PATIENCE: Final = 3
+"""Failures in a row that are not yet held against a device."""
 _FACTS_PAUSE: Final = 10 * 10**9
 _ABSENT: Final = 60 * 10**9
 """After this long without an answer another device may stand there: the facts are read again."""
@@ -73,13 +75,27 @@ class PolledDevice:
         period = self.device.poll
         due = self._clock.now().monotonic
         while True:
+            began = self._clock.now().monotonic
             await self._poll()
-            self._report_link(self._clock.now().monotonic - self._link_since.monotonic)
+            now = self._clock.now().monotonic
+            self._report_link(now - self._link_since.monotonic)
             due += period
-            behind = self._clock.now().monotonic - due
-            if behind > period:
-                due += behind // period * period
+            if now - due > period:
+                due += (now - due) // period * period
+            due = max(due, now + self._pause(now - began))
             await asyncio.sleep(max(0, due - self._clock.now().monotonic) / 1e9)
+
+    def _pause(self, cost: int) -> int:
+        """Rest after a failure, so that silent devices together take a quarter of a shared line.
+
+        A device that is alone on its connection is asked at every poll, answering or not.
+        """
+        failing = self._bus.failing
+        if self._failures < _PATIENCE or self._bus.devices == 1:
+            failing.discard(self.device.name)
+            return 0
+        failing.add(self.device.name)
+        return 3 * cost * len(failing)
 
     def close(self) -> None:
         """The end of a run: what is still open is said."""

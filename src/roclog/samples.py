@@ -30,6 +30,11 @@ class Reading:
     previous: int
 
     @property
+    def known_until(self) -> int:
+        """UTC ns from which on this may be the second of two samples, the first one unseen."""
+        return self.previous or self.read.utc
+
+    @property
     def raw(self) -> bytes:
         return struct.pack(f">{len(self.words)}H", *self.words)
 
@@ -74,11 +79,11 @@ class SampleMaker:
             publish_time=decoded.device_time or reading.read.utc,
             sequence=news.seq,
             data=self.kind.pack(iter(values)),
-            carry=self.carry(memory, reading.read.utc),
+            carry=self.carry(memory, reading.known_until),
         )
 
     def carry(self, memory: Memory, read_at: int) -> dict[str, object]:
-        """What the next run inherits; the block was last read at ``read_at`` ns UTC."""
+        """What the next run inherits; what was missed before ``read_at`` ns UTC is recorded."""
         return {
             "epoch": self.epoch.hex(),
             "seq": memory.seq,
@@ -110,8 +115,12 @@ class SampleMaker:
         code: int,
         *,
         guarded: bool,
+        read_at: int,
     ) -> Entry:
-        """``asked`` and ``ended`` in ns UTC; ``memory`` as it is after the clear."""
+        """``asked`` and ``ended`` in ns UTC; ``memory`` as it is after the clear.
+
+        read_at: as of ``carry``; a clear shows nothing of the block.
+        """
         values = (memory.seq, self.epoch, asked, ended, result, code, guarded)
         data = CLEAR.pack(iter(values))
         return Entry(
@@ -120,7 +129,7 @@ class SampleMaker:
             publish_time=ended,
             sequence=memory.seq & 0xFFFFFFFF,
             data=data,
-            carry=self.carry(memory, ended),
+            carry=self.carry(memory, read_at),
             carry_topic=self.topic,
         )
 

@@ -49,12 +49,12 @@ def test_steps_of_the_wall_clock(tmp_path: Path) -> None:
         "FAKETIME_DONT_FAKE_MONOTONIC": "1",
     }
     step(0)
-    with Roc(tmp_path, cycle=1.0, samples=10**6) as roc:
-        recorder = Recorder(tmp_path, roc.toml(device='poll = "100ms"\ncycle = "1s"'))
+    with Roc(tmp_path, cycle=2.0, samples=10**6) as roc:
+        recorder = Recorder(tmp_path, roc.toml(device='poll = "100ms"\ncycle = "2s"'))
         with recorder.start(environment=environment) as child:
             for number, seconds in enumerate((0, -3600, 86400), start=1):
                 step(seconds)
-                goal = len(roc.truth.cleared) + 5
+                goal = len(roc.truth.cleared) + 4
                 child.while_it_runs(partial(told, child, number - 1), "the step")
                 child.while_it_runs(partial(cleared, roc, goal), "clears")
             assert child.stop() == 0
@@ -71,5 +71,5 @@ def test_steps_of_the_wall_clock(tmp_path: Path) -> None:
         assert times == sorted(times), path
     reads = [i.values.read_at_monotonic for i in items(recorder.directory, "/roc1/sample")]
     spacing = [(b - a) / 1e9 for a, b in pairwise(reads)]
-    assert min(spacing) > 0.4
-    assert max(spacing) < 1.9
+    assert min(spacing) > 1
+    assert max(spacing) < 3

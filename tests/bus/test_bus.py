@@ -139,6 +139,43 @@ def test_a_babbling_line_cannot_hold_an_exchange_longer_than_its_late_answer() -
     run(main())
 
 
+def test_a_damaged_answer_on_a_line_without_echo_ends_the_wait_soon() -> None:
+    async def main() -> None:
+        link, bus = make()
+        bus.echo = Echo.ABSENT
+        damaged = bytearray(answer_to(rtu_frame(UNIT, READ.pdu)))
+        damaged[5] ^= 1
+        link.on_send = lambda _: link.say(bytes(damaged), 20 * MS)
+        tally = Tally()
+        with pytest.raises(NoAnswer, match="damaged"):
+            await bus.transact(UNIT, READ, tally)
+        assert 70 * MS <= now() - link.sent[0][0] <= 70 * MS + SLACK
+        assert (tally.timeouts, tally.crc_errors, tally.answers) == (0, 1, 0)
+        link.on_send = lambda adu: link.say(answer_to(adu), 20 * MS)
+        await bus.transact(UNIT, READ, tally)
+        assert link.sent[1][0] - link.sent[0][0] < 100 * MS
+
+    run(main())
+
+
+def test_noise_like_an_answer_does_not_hide_the_answer_behind_it() -> None:
+    async def main() -> None:
+        link, bus = make()
+        bus.echo = Echo.ABSENT
+        noise = bytearray(answer_to(rtu_frame(UNIT, READ.pdu)))
+        noise[5] ^= 1
+
+        def on_send(adu: bytes) -> None:
+            link.say(bytes(noise), 20 * MS)
+            link.say(answer_to(adu), 50 * MS)
+
+        link.on_send = on_send
+        answer = await bus.transact(UNIT, READ, Tally())
+        assert answer.pdu == answer_to(rtu_frame(UNIT, READ.pdu))[1:-2]
+
+    run(main())
+
+
 def test_a_damaged_answer_is_waited_out_and_counted() -> None:
     async def main() -> None:
         link, bus = make()

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 _READS: Final = frozenset({1, 2, 3, 4})
 _WRITE_REGISTER: Final = 6
+_SPOILED: Final = 50_000_000
+"""Nanoseconds of silence after a damaged answer; longer than any adapter holds octets back."""
 _FIRST_RETRY: Final = 100_000_000
 _LAST_RETRY: Final = 2_000_000_000
 """Nanoseconds between attempts to open a link: doubling until an answer comes over it."""
@@ -79,13 +81,21 @@ class Bus:
     """All transactions of one connection.
 
     permitted: the only writes that may leave, as (unit, address, value).
+    devices: how many share the connection. failing: names of those that do not answer at present.
     """
 
     def __init__(
-        self, link: Link, timing: Timing, clock: Clock, permitted: frozenset[tuple[int, int, int]]
+        self,
+        link: Link,
+        timing: Timing,
+        clock: Clock,
+        permitted: frozenset[tuple[int, int, int]],
+        devices: int = 1,
     ) -> None:
         self.link = link
         self.timing = timing
+        self.devices = devices
+        self.failing: set[str] = set()
         self.echo = Echo.UNKNOWN
         self._clock = clock
         self._permitted = permitted
@@ -275,6 +285,17 @@ class Bus:
                 self._owed_until = self._retry_after = 0
                 self._retry_delay = _FIRST_RETRY
                 waiter.set_result((pdu, now))
+            elif isinstance(exchange, RtuExchange) and exchange.spoiled:
+                loop = asyncio.get_running_loop()
+                loop.call_later(_SPOILED / 1e9, self._call_off, exchange, now.monotonic)
+
+    def _call_off(self, exchange: Exchange, heard: int) -> None:
+        """A damaged answer came and nothing behind it: no other will."""
+        waiter = self._waiter
+        same = exchange is self._exchange and heard == self._last_heard.monotonic
+        if same and waiter is not None and not waiter.done():
+            self._owed_until = 0
+            waiter.set_exception(NoAnswer(f"{self.link.name}: the answer was damaged"))
 
     def _discard(self, octets: bytes) -> None:
         """Nobody waits for this: noise on a serial line, late answers on TCP."""

@@ -5,9 +5,9 @@ and its checksum wherever it begins; gaps between octets mean nothing behind a U
 
 1. Octets are judged in order. As long as an earlier octet may still begin the echo or the answer,
    a later one is not looked at: how the octets were cut into pieces changes nothing.
-2. Octets that look like the beginning of an answer and fail the checksum end nothing. They may have
-   been noise or a damaged echo, with the answer still to come; to ask again before it came would
-   let it pass for the next one.
+2. Octets that look like the beginning of an answer and fail the checksum end nothing by themselves.
+   They may have been noise or a damaged echo, with the answer still to come; to ask again before it
+   came would let it pass for the next one. ``spoiled`` says when only the answer can look so.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ class RtuExchange:
         self.echo = echo
         head = bytes([unit]) + request.head
         refusal = bytes([unit, request.pdu[0] | EXCEPTION_BIT])
-        self._shapes = [(refusal, 5), (head, 1 + request.answer_size + 2)]
+        self._head = head
+        self._size = 1 + request.answer_size + 2
+        self._shapes = [(refusal, 5), (head, self._size)]
         self._answer_is_copy = head == body
         self._echo_due = not self._answer_is_copy or echo is not Echo.ABSENT
         if self._echo_due:
@@ -60,6 +62,17 @@ class RtuExchange:
     def conclude(self) -> bytes | None:
         """The PDU that was held back by octets which more octets could have made an answer."""
         return self._hunt(over=True)
+
+    @property
+    def spoiled(self) -> bool:
+        """The last octets have head and length of the answer, on a line that does not echo.
+
+        If nothing follows them, they were the answer, damaged, and no other will come.
+        """
+        start = self._buffer.find(self._head)
+        return (
+            self.echo is Echo.ABSENT and start >= 0 and len(self._buffer) - start == self._size
+        )
 
     @property
     def leftover(self) -> bytes:

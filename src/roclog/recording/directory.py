@@ -172,10 +172,8 @@ def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:
     if cleared is not None:
         clear = CLEAR.unpack(data)
         entry = carry.get(cleared)
-        if clear is not None and entry is not None:
-            entry["read_at"] = clear["ended_at"]
-            if clear["result"] == ClearResult.DONE:
-                entry["cleared"] = entry["cleared"] or clear["seq"] == entry["seq"]
+        if clear is not None and entry is not None and clear["result"] == ClearResult.DONE:
+            entry["cleared"] = entry["cleared"] or clear["seq"] == entry["seq"]
         return
     payload_words = channel.metadata.get("payload")
     sample = read_signature(data) if payload_words is not None else None
@@ -188,5 +186,5 @@ def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:
         "seq": sample["seq"],
         "payload": b"".join(raw[2 * a : 2 * (a + n)] for a, n in ranges).hex(),
         "cleared": sample["origin"] != Origin.FLAG,
-        "read_at": sample["read_at"],
+        "read_at": sample["previous_read_at"] or sample["read_at"],
     }

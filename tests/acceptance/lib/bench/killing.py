@@ -27,6 +27,8 @@ class Report:
     kept: dict[str, int] = field(default_factory=dict)
     missing: dict[str, int] = field(default_factory=dict)
     downtimes: dict[str, int] = field(default_factory=dict)
+    unread: dict[str, int] = field(default_factory=dict)
+    """Completed between an unguarded read and its clear, and never sent intact: told by a gap."""
     copies: int = 0
     hot_after_kill: int = 0
     violations: list[str] = field(default_factory=list)
@@ -35,6 +37,7 @@ class Report:
         return (
             f"{self.kills} kills, cleared {self.cleared}, kept {self.kept}, "
             f"missing {self.missing}, downtime gaps {self.downtimes}, "
+            f"cleared unread by a race {self.unread}, "
             f"copies on disk {self.copies}, hot segments {self.hot_after_kill}, "
             f"{len(self.violations)} violations"
         )
@@ -93,7 +96,7 @@ def _check(out: Path, recorder: Recorder, rocs: list[Roc], report: Report) -> No
         comparison = compare(rows, truth)
         where = f"{out.name}, {name}"
         kept = set(comparison.found)
-        lost = [k for k in truth.cleared if k not in kept]
+        lost = [k for k in truth.cleared if k not in kept and k in truth.delivered]
         if lost:
             report.violations.append(f"{where}: cleared but not in the recording: {lost}")
         report.violations += [f"{where}: twice: {k}" for k in comparison.twice]
@@ -132,6 +135,7 @@ def _count(out: Path, recorder: Recorder, rocs: list[Roc], report: Report) -> No
         missing = [k for k in comparison.missing if k < last]
         check = check_gaps(missing, truth, gaps(recorder.directory, roc.name))
         report.cleared[roc.name] = len(truth.cleared)
+        report.unread[roc.name] = len(set(truth.cleared) & set(missing) - truth.delivered)
         report.kept[roc.name] = len(comparison.found)
         report.missing[roc.name] = len(missing)
         report.downtimes[roc.name] = check.downtimes

@@ -44,6 +44,11 @@ class Truth:
         return [line["k"] for line in self.of("clear") if line["k"]]
 
     @property
+    def delivered(self) -> set[int]:
+        """Samples that a client was sent in one piece, intact and in time."""
+        return {line["k"] for line in self.of("read") if line["k"] and line["fate"] == "ok"}
+
+    @property
     def acknowledged(self) -> list[int]:
         """Samples that stood there when a clear arrived; another may have come just before it."""
         return [line["arrived_k"] for line in self.of("clear") if line["arrived_k"]]
