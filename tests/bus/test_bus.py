@@ -26,7 +26,7 @@ from bus_fakes import (
 )
 from wire import exception_pdu, rtu_frame
 
-from roclog.bus.bus import Answer, Timing
+from roclog.bus.bus import Answer, Bus, Timing
 from roclog.bus.tally import Tally
 from roclog.errors import ExceptionAnswer, LinkDown, NoAnswer, WrongAnswer
 from roclog.modbus.request import ReadRegisters, words
@@ -139,21 +139,27 @@ def test_a_babbling_line_cannot_hold_an_exchange_longer_than_its_late_answer() -
     run(main())
 
 
+async def learn_that_nothing_echoes(link: FakeLink, bus: Bus) -> None:
+    link.on_send = lambda adu: link.say(answer_to(adu), 20 * MS)
+    await bus.transact(UNIT, READ, Tally())
+    assert bus.echo is Echo.ABSENT
+
+
 def test_a_damaged_answer_on_a_line_without_echo_ends_the_wait_soon() -> None:
     async def main() -> None:
         link, bus = make()
-        bus.echo = Echo.ABSENT
+        await learn_that_nothing_echoes(link, bus)
         damaged = bytearray(answer_to(rtu_frame(UNIT, READ.pdu)))
         damaged[5] ^= 1
         link.on_send = lambda _: link.say(bytes(damaged), 20 * MS)
         tally = Tally()
         with pytest.raises(NoAnswer, match="damaged"):
             await bus.transact(UNIT, READ, tally)
-        assert 70 * MS <= now() - link.sent[0][0] <= 70 * MS + SLACK
+        assert 70 * MS <= now() - link.sent[1][0] <= 70 * MS + SLACK
         assert (tally.timeouts, tally.crc_errors, tally.answers) == (0, 1, 0)
         link.on_send = lambda adu: link.say(answer_to(adu), 20 * MS)
         await bus.transact(UNIT, READ, tally)
-        assert link.sent[1][0] - link.sent[0][0] < 100 * MS
+        assert link.sent[2][0] - link.sent[1][0] < 100 * MS
 
     run(main())
 
@@ -161,7 +167,7 @@ def test_a_damaged_answer_on_a_line_without_echo_ends_the_wait_soon() -> None:
 def test_noise_like_an_answer_does_not_hide_the_answer_behind_it() -> None:
     async def main() -> None:
         link, bus = make()
-        bus.echo = Echo.ABSENT
+        await learn_that_nothing_echoes(link, bus)
         noise = bytearray(answer_to(rtu_frame(UNIT, READ.pdu)))
         noise[5] ^= 1
 
