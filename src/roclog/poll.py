@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from roclog.register_map import Block, FlagAndClear
 
 _SETTLE_MAX: Final = 250_000_000
-"""Nanoseconds between the two reads that confirm a sample: an eighth of the cycle, at most this.
+"""Nanoseconds between the two reads that confirm a sample: a quarter of the cycle, at most this.
 Longer than a device takes to update its block, short against its cycle."""
 _REFUSED_PAUSE: Final = 60 * 10**9
 """Nanoseconds before a refused clear is tried again."""
@@ -275,7 +275,7 @@ class FlaggedBlock:
 
     def _settle(self) -> int:
         cycle = self.cadence.effective_cycle
-        return _SETTLE_MAX if cycle is None else min(cycle // 8, _SETTLE_MAX)
+        return _SETTLE_MAX if cycle is None else min(cycle // 4, _SETTLE_MAX)
 
     def _event(self, level: str, kind: str, text: str) -> None:
         self._outbox.event(level, kind, text)
