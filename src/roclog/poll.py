@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from roclog.bus.bus import TooLate
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 _SETTLE_MAX: Final = 250_000_000
 """Nanoseconds between the two reads that confirm a sample: a quarter of the cycle, at most this.
 Longer than a device takes to update its block, short against its cycle."""
+_LOOKS: Final = 4
+"""Reads before an unguarded clear goes out although every answer took long."""
 _REFUSED_PAUSE: Final = 60 * 10**9
 """Nanoseconds before a refused clear is tried again."""
 
@@ -85,10 +88,10 @@ class FlaggedBlock:
         Raises:
             DeviceError: a read failed; what was learnt before is kept.
         """
-        fresh = False
+        looks = 1
         while True:
             verdict = await self._look()
-            fresh = fresh and not verdict.news
+            looks = 1 if verdict.news else looks
             if verdict.again:
                 await asyncio.sleep(self._settle() / 1e9)
                 continue
@@ -96,13 +99,13 @@ class FlaggedBlock:
                 return
             until = self.cadence.guarded_until()
             guarded = until is not None and self._clock.now().monotonic < until
-            if guarded or fresh:
+            if guarded or looks > _LOOKS or (looks > 1 and self._is_fresh()):
                 try:
                     await self._clear(until if guarded else None)
                     return
                 except TooLate:
                     pass
-            fresh = True  # the guard does not hold: read once more right before the clear
+            looks += 1  # the guard does not hold: read once more right before the clear
 
     def close(self) -> None:
         """Leave nothing unsaid at the end of a run."""
@@ -119,7 +122,12 @@ class FlaggedBlock:
     async def _look(self) -> Verdict:
         answer = await self._bus.transact(self._unit, self._request, self._tally)
         reading = Reading(words(answer.pdu), answer.asked, answer.read, self._quiet_at)
-        self._memory, verdict = judge(self._memory, self._seen(reading))
+        seen = self._seen(reading)
+        candidate = self._memory.candidate
+        if candidate is not None and candidate.payload != seen.payload:
+            reading = replace(reading, previous=self._reading(candidate).read.utc)
+            seen = replace(seen, reading=reading)
+        self._memory, verdict = judge(self._memory, seen)
         self._tell_downtime(reading.read)
         self._record(reading, verdict)
         self.last = reading
@@ -144,10 +152,10 @@ class FlaggedBlock:
             self._tell_note(note, self._reading(seen), reading)
         for news in verdict.news:
             kept = self._reading(news.seen)
-            self._outbox.add(self._maker.sample(news, kept, self._memory))
-            self._known_until = kept.known_until
             if not news.redelivered:
                 self._follow(kept, reading)
+            self._known_until = kept.known_until
+            self._outbox.add(self._maker.sample(news, kept, self._memory))
         if not verdict.again and self._memory.candidate is None:
             self._tell_missed(self.cadence.quiet(reading.asked.monotonic), reading.read)
             self._watch_for_overdue(reading)
@@ -169,6 +177,12 @@ class FlaggedBlock:
         if not self._overdue and self.cadence.overdue(reading.asked.monotonic):
             self._overdue = True
             self._event("warning", "overdue", "no new sample for 1.5 cycles")
+
+    def _is_fresh(self) -> bool:
+        """What was read is so young that hardly a sample can have completed since."""
+        if self.last is None:
+            return False
+        return self._clock.now().monotonic - self.last.asked.monotonic < self._settle()
 
     def _may_clear(self) -> bool:
         if not self._acknowledge or not self._outbox.empty:
