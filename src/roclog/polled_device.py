@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from roclog.decode import Value, decode, field_names, word_order_doubts
@@ -31,7 +32,7 @@ _ABSENT: Final = 60 * 10**9
 
 
 class PolledDevice:
-    """Reads one device until it is cancelled."""
+    """Reads one device until it is told to stop."""
 
     def __init__(
         self,
@@ -70,11 +71,11 @@ class PolledDevice:
         """Number of the last sample."""
         return self._block.samples
 
-    async def run(self) -> None:
-        """Poll without drift; a poll that is late by more than a period is left out."""
+    async def run(self, stop: asyncio.Event) -> None:
+        """Poll without drift until ``stop``; one that is late by more than a period is left out."""
         period = self.device.poll
         due = self._clock.now().monotonic
-        while True:
+        while not stop.is_set():
             began = self._clock.now().monotonic
             await self._poll()
             now = self._clock.now().monotonic
@@ -83,7 +84,9 @@ class PolledDevice:
             if now - due > period:
                 due += (now - due) // period * period
             due = max(due, now + self._pause(now - began))
-            await asyncio.sleep(max(0, due - self._clock.now().monotonic) / 1e9)
+            with suppress(TimeoutError):
+                async with asyncio.timeout(max(0, due - self._clock.now().monotonic) / 1e9):
+                    await stop.wait()
 
     def _pause(self, cost: int) -> int:
         """Rest after a failure, so that silent devices together take a quarter of a shared line.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import signal
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from roclog.errors import StorageError
 from roclog.service import notify
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
     from roclog.clock import Clock
     from roclog.config.settings import Settings
+
+
+_GRACE: Final = 3.0
+"""Seconds for every device to finish the poll in hand: a confirming read, a commit, a clear."""
 
 
 async def record(
@@ -33,8 +37,9 @@ async def record(
     with _stopping_signals(stop):
         async with Session(settings, clock) as session:
             notify("READY=1")
+            recording = asyncio.create_task(session.run())
             tasks = [
-                asyncio.create_task(session.run()),
+                recording,
                 asyncio.create_task(_prove_life(session, on_second)),
                 asyncio.create_task(stop.wait()),
             ]
@@ -42,6 +47,8 @@ async def record(
                 await asyncio.wait(tasks, timeout=duration, return_when=asyncio.FIRST_COMPLETED)
             finally:
                 notify("STOPPING=1")
+                session.stop()
+                await asyncio.wait((recording,), timeout=_GRACE)
                 for task in tasks:
                     task.cancel()
                 ended = await asyncio.gather(*tasks, return_exceptions=True)

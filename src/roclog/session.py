@@ -67,6 +67,7 @@ class Session:
         self._clock = clock
         self._run = uuid.uuid4().hex
         self._buses: dict[str, Bus] = {}
+        self._stop = asyncio.Event()
 
     async def __aenter__(self) -> Self:
         recording = self.settings.recording
@@ -102,20 +103,27 @@ class Session:
         self._directory.release()
 
     async def run(self) -> None:
-        """Record until cancelled. One task a device; one that breaks is told and restarted."""
-        async with asyncio.TaskGroup() as group:
-            for device in self.devices:
-                group.create_task(self._supervise(device))
-            group.create_task(self._watch_clock())
+        """Record until ``stop``. One task a device; one that breaks is told and restarted."""
+        watch = asyncio.create_task(self._watch_clock())
+        try:
+            async with asyncio.TaskGroup() as group:
+                for device in self.devices:
+                    group.create_task(self._supervise(device))
+        finally:
+            watch.cancel()
+
+    def stop(self) -> None:
+        """Let every device finish the poll in hand; then ``run`` returns."""
+        self._stop.set()
 
     async def writer_answers(self) -> None:
         """Return once the writer has taken everything handed to it before."""
         await asyncio.wrap_future(self._writer.note([]))
 
     async def _supervise(self, device: PolledDevice) -> None:
-        while True:
+        while not self._stop.is_set():
             try:
-                await device.run()
+                await device.run(self._stop)
             except Exception as error:  # noqa: BLE001 - months unattended: one fault ends no device
                 _log.exception("%s: unexpected error", device.device.name)
                 device.outbox.event("error", "internal", f"unexpected {error!r}, going on")
