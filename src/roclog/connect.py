@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from roclog.bus.bus import Bus, Timing
+from roclog.bus.bus import Bus, Framing, Timing
 from roclog.bus.serial_port import SerialLink
 from roclog.bus.tcp import TcpLink
+from roclog.bus.udp import UdpLink
 
 if TYPE_CHECKING:
     from roclog.bus.link import Link
     from roclog.clock import Clock
-    from roclog.config.settings import Connection, Device
+    from roclog.config.settings import Connection, Device, Transport
+
+_FRAMINGS: Final[dict[Transport, Framing]] = {
+    "rtu": Framing.RTU,
+    "rtu-over-tcp": Framing.RTU,
+    "tcp": Framing.MBAP_STREAM,
+    "udp": Framing.MBAP_DATAGRAM,
+}
 
 
 def make_bus(connection: Connection, devices: list[Device], clock: Clock) -> Bus:
     """The bus of a connection; only the acknowledgements of its devices may be written."""
-    link: Link
-    if connection.transport == "rtu":
-        link = SerialLink(
-            str(connection.port),
-            connection.baudrate,
-            connection.bytesize,
-            connection.parity,
-            connection.stopbits,
-        )
-    else:
-        link = TcpLink(connection.host, int(connection.port))
     timing = Timing(
+        framing=_FRAMINGS[connection.transport],
         timeout=connection.timeout,
-        late_answer=connection.late_answer,
+        late_answer=connection.late_answer or 0,
         silence=connection.silence,
         character=connection.character,
     )
@@ -40,4 +38,17 @@ def make_bus(connection: Connection, devices: list[Device], clock: Clock) -> Bus
         for block in device.profile.samples
         if block.trigger is not None
     )
-    return Bus(link, timing, clock, permitted, len(devices))
+    return Bus(_make_link(connection), timing, clock, permitted, len(devices))
+
+
+def _make_link(connection: Connection) -> Link:
+    if connection.transport == "rtu":
+        return SerialLink(
+            str(connection.port),
+            connection.baudrate,
+            connection.bytesize,
+            connection.parity,
+            connection.stopbits,
+        )
+    kind = UdpLink if connection.transport == "udp" else TcpLink
+    return kind(connection.host, int(connection.port))

@@ -13,7 +13,7 @@ import sys
 import time
 
 from roclog.bus import tcp
-from roclog.bus.bus import Bus, Timing
+from roclog.bus.bus import Bus, Framing, Timing
 from roclog.bus.tally import Tally
 from roclog.clock import SystemClock
 from roclog.errors import LinkDown
@@ -33,7 +33,7 @@ async def main() -> None:
     set_loopback(up=True)
     server = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
     port = server.sockets[0].getsockname()[1]
-    timing = Timing(timeout=10**10)
+    timing = Timing(framing=Framing.MBAP_STREAM, timeout=10**10)
     bus = Bus(tcp.TcpLink("127.0.0.1", port), timing, SystemClock(), frozenset())
     pending = asyncio.create_task(bus.transact(1, ReadRegisters(3, 0, 1), Tally()))
     await asyncio.sleep(0.1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -12,6 +13,7 @@ from bus_fakes import (
     LATE,
     MS,
     READ,
+    RTU,
     SILENCE,
     SLACK,
     START,
@@ -26,7 +28,7 @@ from bus_fakes import (
 )
 from wire import exception_pdu, rtu_frame
 
-from roclog.bus.bus import Answer, Bus, Timing
+from roclog.bus.bus import Answer, Bus
 from roclog.bus.tally import Tally
 from roclog.errors import ExceptionAnswer, LinkDown, NoAnswer, WrongAnswer
 from roclog.modbus.request import ReadRegisters, words
@@ -70,7 +72,7 @@ def test_silence_before_every_frame() -> None:
 
 def test_silence_after_a_request_that_nobody_answers() -> None:
     async def main() -> None:
-        link, bus = make(Timing(timeout=MS, late_answer=MS, silence=50 * MS, character=MS))
+        link, bus = make(replace(RTU, timeout=MS, late_answer=MS, silence=50 * MS))
         for _ in range(2):
             with pytest.raises(NoAnswer):
                 await bus.transact(UNIT, READ, Tally())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 from bus_fakes import (
@@ -13,6 +13,7 @@ from bus_fakes import (
     MS,
     OTHER,
     READ,
+    RTU,
     SILENCE,
     SLACK,
     START,
@@ -27,7 +28,7 @@ from bus_fakes import (
     run,
 )
 
-from roclog.bus.bus import Answer, Timing
+from roclog.bus.bus import Answer
 from roclog.bus.tally import Tally
 from roclog.errors import NoAnswer
 from roclog.modbus.request import ReadRegisters, words
@@ -55,7 +56,7 @@ def test_a_late_answer_is_used_for_its_own_request() -> None:
 @pytest.mark.parametrize("late", [600, 1000, 3000])
 def test_after_a_time_out_nothing_is_sent_until_the_answer_can_no_longer_come(late: int) -> None:
     async def main() -> None:
-        timing = Timing(timeout=500 * MS, late_answer=late * MS, silence=SILENCE, character=MS)
+        timing = replace(RTU, late_answer=late * MS)
         link, bus = make(timing)
         tally = Tally()
         results = await asyncio.gather(
@@ -93,7 +94,7 @@ class SlowServer:
 @pytest.mark.parametrize("deaf", [False, True])
 def test_no_late_answer_is_taken_for_another(*, deaf: bool) -> None:
     async def main() -> None:
-        link, bus = make(Timing(timeout=60 * MS, late_answer=300 * MS, silence=5 * MS))
+        link, bus = make(replace(RTU, timeout=60 * MS, late_answer=300 * MS, character=0))
         server = link.on_send = SlowServer(link, deaf, random.Random(7))
         tally = Tally()
         requests = [ReadRegisters(3, 64 * index, 27) for index in range(250)]

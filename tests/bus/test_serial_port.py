@@ -16,7 +16,7 @@ import pytest
 import serial
 from serial_peer import SerialPeer, late_in_a_tenth, registers
 
-from roclog.bus.bus import Answer, Bus, Timing
+from roclog.bus.bus import Answer, Bus, Framing, Timing
 from roclog.bus.serial_port import SerialLink
 from roclog.bus.tally import Tally
 from roclog.clock import SystemClock
@@ -27,7 +27,7 @@ MS = 1_000_000
 CHARACTER = 1_041_667
 SILENCE = 5 * CHARACTER
 READ = ReadRegisters(3, 300, 27)
-TIMING = Timing(timeout=500 * MS, late_answer=600 * MS, silence=MS)
+TIMING = Timing(framing=Framing.RTU, timeout=500 * MS, late_answer=600 * MS, silence=MS)
 WIRE = replace(TIMING, silence=SILENCE, character=CHARACTER)
 
 

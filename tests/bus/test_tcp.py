@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from contextlib import asynccontextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ import pytest
 from wire import mbap_frame
 
 from roclog.bus import tcp
-from roclog.bus.bus import Answer, Bus, Timing
+from roclog.bus.bus import Answer, Bus, Framing, Timing
 from roclog.bus.tally import Tally
 from roclog.bus.tcp import TcpLink
 from roclog.clock import SystemClock
@@ -53,7 +54,8 @@ async def serving(behaviour: Behaviour) -> AsyncIterator[Bus]:
 
     server = await asyncio.start_server(treat, "127.0.0.1", 0)
     port = server.sockets[0].getsockname()[1]
-    bus = Bus(TcpLink("127.0.0.1", port), Timing(timeout=2000 * MS), SystemClock(), frozenset())
+    timing = Timing(framing=Framing.MBAP_STREAM, timeout=2000 * MS)
+    bus = Bus(TcpLink("127.0.0.1", port), timing, SystemClock(), frozenset())
     try:
         yield bus
     finally:
@@ -223,7 +225,7 @@ def test_a_peer_that_never_answers() -> None:
 
     async def main() -> None:
         async with serving(listens) as bus:
-            bus.timing = Timing(timeout=20 * MS)
+            bus.timing = replace(bus.timing, timeout=20 * MS)
             tally = Tally()
             for _ in range(3):
                 with pytest.raises(NoAnswer):

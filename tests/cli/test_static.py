@@ -229,7 +229,8 @@ def test_commented_parts_of_init_are_valid(tmp_path: Path) -> None:
     path = tmp_path / "roclog.toml"
     path.write_text("\n".join(active))
     settings = load(path)
-    assert list(settings.devices) == ["roc1", "roc2"]
+    assert list(settings.devices) == ["roc1", "roc2", "roc3"]
+    assert settings.connections["gateway"].place == "192.168.1.40:4001"
     assert settings.recording.keep_size == 20 << 30
     assert settings.connections["hydraulics"].silence == 5_208_335
 
@@ -256,6 +257,26 @@ def test_check_shows_what_will_be_recorded(config: Path) -> None:
     assert (
         "roc1: request 8.33ms + turnaround 10.00ms + answer 61.46ms + silence 5.21ms every 1s\n"
     ) in text
+
+
+def test_check_shows_connections_over_a_network(config: Path) -> None:
+    config.write_text(
+        "[connections.bus]\ntransport = 'rtu-over-tcp'\nhost = 'moxa'\nport = 4001\n"
+        "[connections.plant]\ntransport = 'udp'\nhost = '::1'\n"
+        + ROC
+        + ROC.replace("roc1", "roc2").replace("bus", "plant")
+    )
+    result = invoke("check", config)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert (
+        "connection  bus: rtu-over-tcp moxa:4001, 9600 Bd, timeout 500ms, late answer 1s, "
+        "silence 5.21ms\n"
+    ) in result.stdout
+    assert "connection  plant: udp [::1]:502, timeout 1s\n" in result.stdout
+    assert "bus load    bus: 8.5%\n" in result.stdout
+    told = json.loads(invoke("check", config, "--json").stdout)["connections"]
+    assert [each["transport"] for each in told] == ["rtu-over-tcp", "udp"]
+    assert [each["late_answer_ns"] for each in told] == [10**9, None]
 
 
 def test_check_tells_all_problems(config: Path) -> None:
@@ -430,9 +451,13 @@ def _read_or_nothing(descriptor: int) -> bytes:
 # simulate
 
 
+ONE_ENDPOINT = "one of --tcp, --udp, --rtu-over-tcp and --pty is needed"
 WRONG_SIMULATIONS = [
-    (["hiac-roc"], "one of --tcp and --pty is needed"),
-    (["hiac-roc", "--tcp", "127.0.0.1:0", "--pty", "x"], "one of --tcp and --pty is needed"),
+    (["hiac-roc"], ONE_ENDPOINT),
+    (["hiac-roc", "--tcp", "127.0.0.1:0", "--pty", "x"], ONE_ENDPOINT),
+    (["hiac-roc", "--udp", "127.0.0.1:0", "--rtu-over-tcp", "127.0.0.1:0"], ONE_ENDPOINT),
+    (["hiac-roc", "--udp", "5020"], "'5020' is not HOST:PORT"),
+    (["hiac-roc", "--udp", "127.0.0.1:0", "--baud", "9600"], "are for --pty only"),
     (["weather", "--tcp", "127.0.0.1:0"], "'weather' is not one of hiac-roc"),
     (["hiac-roc:0", "--tcp", "127.0.0.1:0"], "0 is not a unit from 1 to 247"),
     (["hiac-roc:248", "--tcp", "127.0.0.1:0"], "248 is not a unit from 1 to 247"),
@@ -507,6 +532,23 @@ def test_simulate_tcp_and_probe_it(number: int, config: Path) -> None:
     assert result.exit_code == 0
     probes = json.loads(result.stdout)["probe"]
     assert [(probe["device"], probe["ok"]) for probe in probes] == [("roc1", True), ("gone", False)]
+
+
+@pytest.mark.parametrize("transport", ["udp", "rtu-over-tcp"])
+def test_simulate_on_another_transport_and_probe_it(transport: str, config: Path) -> None:
+    simulation = Simulation("hiac-roc", f"--{transport}", "127.0.0.1:0")
+    match = re.search("unit 138 on 127.0.0.1:([0-9]+) at speed 1, Ctrl-C ends", simulation.line)
+    assert match, simulation.line
+    config.write_text(
+        f"[connections.bus]\ntransport = '{transport}'\nhost = '127.0.0.1'\nport = {match[1]}\n"
+        f"{ROC}"
+    )
+    result = invoke("check", config, "--probe")
+    taken = run("simulate", "hiac-roc", f"--{transport}", f"127.0.0.1:{match[1]}")
+    assert simulation.stop(signal.SIGTERM) == (0, "")
+    assert (result.exit_code, taken.returncode) == (0, 2)
+    assert re.search("^answers     roc1: ", result.stdout, re.MULTILINE)
+    assert f"Invalid value for --{transport}: 127.0.0.1:{match[1]}: cannot" in taken.stderr
 
 
 def test_simulate_on_a_serial_line(tmp_path: Path, config: Path) -> None:

@@ -17,12 +17,16 @@ if TYPE_CHECKING:
 
 RTU = '[connections.bus]\ntransport = "rtu"\nport = "/dev/ttyS9"\n'
 TCP = '[connections.bus]\ntransport = "tcp"\nhost = "10.0.0.1"\n'
+GATEWAY = '[connections.bus]\ntransport = "rtu-over-tcp"\nhost = "10.0.0.2"\nport = 4001\n'
 ROC = '[devices.roc1]\nprofile = "hiac-roc"\nconnection = "bus"\n'
 
 CASES = {
     "connections.spare: no device uses this connection": TCP.replace("bus", "spare") + RTU + ROC,
     "connections.bus.baudrate: 19200, but hiac-roc (roc1) has 9600": (
         f"{RTU}baudrate = 19200\n{ROC}"
+    ),
+    "connections.bus.baudrate: 4800, but hiac-roc (roc1) has 9600": (
+        f"{GATEWAY}baudrate = 4800\n{ROC}"
     ),
     'connections.bus.parity: "E", but hiac-roc (roc1) has "N"': f"{RTU}parity = 'E'\n{ROC}",
     "connections.bus.stopbits: 2, but hiac-roc (roc1) has 1": f"{RTU}stopbits = 2\n{ROC}",
@@ -44,7 +48,14 @@ def test_warning(text: str, line: str, load_text: Load) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", [RTU + ROC, TCP + ROC, RTU + ROC + "poll = '7s'", RTU + ROC + "poll='15s'\ncycle='15s'"]
+    "text",
+    [
+        RTU + ROC,
+        TCP + ROC,
+        GATEWAY + ROC,
+        RTU + ROC + "poll = '7s'",
+        RTU + ROC + "poll='15s'\ncycle='15s'",
+    ],
 )
 def test_nothing_to_warn_about(text: str, load_text: Load) -> None:
     assert warnings(load_text(text)) == []
@@ -75,6 +86,15 @@ def test_bus_load(load_text: Load) -> None:
     assert load.least == pytest.approx(0.07344, abs=1e-5)
 
 
+def test_bus_load_behind_a_gateway(load_text: Load) -> None:
+    """As on the line itself, from the baud rate that the configuration tells."""
+    (serial,) = bus_loads(load_text(RTU + ROC))
+    (load,) = bus_loads(load_text(GATEWAY + ROC))
+    assert load == serial
+    (faster,) = bus_loads(load_text(GATEWAY + "baudrate = 19200\n" + ROC))
+    assert faster.least < load.least
+
+
 def test_bus_load_adds_up(load_text: Load) -> None:
     text = RTU + "silence = '3.5 chars'\n"
     for unit in range(1, 4):
@@ -83,5 +103,6 @@ def test_bus_load_adds_up(load_text: Load) -> None:
     assert load.expected == pytest.approx(6 * 0.08344, abs=1e-4)
 
 
-def test_no_bus_load_on_tcp(load_text: Load) -> None:
+def test_no_bus_load_on_a_network(load_text: Load) -> None:
     assert bus_loads(load_text(TCP + ROC)) == []
+    assert bus_loads(load_text(TCP.replace("tcp", "udp") + ROC)) == []

@@ -34,6 +34,19 @@ transport = "tcp"
 host = "10.0.0.1"
 port = 502
 timeout = "1s"
+[connections.gateway]
+transport = "rtu-over-tcp"
+host = "10.0.0.2"
+port = 4001
+baudrate = 19200
+timeout = "500ms"
+late_answer = "1s"
+silence = "5 chars"
+[connections.datagrams]
+transport = "udp"
+host = "10.0.0.1"
+port = 502
+timeout = "1s"
 [devices.roc1]
 profile = "hiac-roc"
 connection = "bus"
@@ -45,9 +58,16 @@ cycle = "15s"
 [devices.roc2]
 profile = "hiac-roc"
 connection = "net"
+[devices.roc3]
+profile = "hiac-roc"
+connection = "gateway"
+[devices.roc4]
+profile = "hiac-roc"
+connection = "datagrams"
 """.splitlines()
 
-_WORDS = ["bus", "net", "rtu", "tcp", "udp", "hiac-roc", "mpa-48", "log", "5 chars", "CDAB", "0s"]
+_TRANSPORTS = ["rtu", "tcp", "udp", "rtu-over-tcp"]
+_WORDS = ["bus", "net", *_TRANSPORTS, "hiac-roc", "mpa-48", "log", "5 chars", "CDAB", "0s"]
 _DURATIONS = st.builds(
     lambda number, unit: f"{number}{unit}",
     st.integers(0, 10**6) | st.floats(0, 10**6, allow_nan=False),
@@ -93,9 +113,9 @@ def judge(path: Path) -> bool:
         assert connection.timeout > 0
         assert connection.late_answer is None or connection.late_answer >= connection.timeout
         assert connection.silence >= 3.5 * connection.character
-        assert (connection.character > 0) == (connection.transport == "rtu")
+        assert (connection.character > 0) == connection.is_serial
     for device in found.devices.values():
-        serial = found.connections[device.connection].transport == "rtu"
+        serial = found.connections[device.connection].is_serial
         assert device.poll > 0
         assert device.unit in (range(1, 248) if serial else range(256))
     assert all(str(warning).isprintable() for warning in warnings(found))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 TABLES = {
     "@rtu": '[connections.bus]\ntransport = "rtu"\nport = "/dev/ttyS9"\n',
     "@tcp": '[connections.net]\ntransport = "tcp"\nhost = "10.0.0.1"\n',
+    "@gateway": '[connections.bus]\ntransport = "rtu-over-tcp"\nhost = "10.0.0.2"\nport = 4001\n',
     "@roc": '[devices.roc1]\nprofile = "hiac-roc"\nconnection = "bus"\n',
     "@net_roc": '[devices.roc1]\nprofile = "hiac-roc"\nconnection = "net"\n',
 }

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from google.protobuf import descriptor_pb2
 
 from roclog.config import json_schema
-from roclog.config.tables import DeviceTable, Rtu, Tcp
+from roclog.config.tables import DeviceTable, Rtu, RtuOverTcp, Tcp, Udp
 from roclog.devices import PROFILES
 from roclog.schema import CLEAR, GAP, LINK, sample_type
 
@@ -40,11 +40,12 @@ def test_module_prints_the_schema() -> None:
 
 def test_schema_has_the_keys_of_the_tables() -> None:
     definitions = json_schema()["definitions"]
-    for table in (Rtu, Tcp, DeviceTable):
+    for table in (Rtu, Tcp, Udp, RtuOverTcp, DeviceTable):
         keys = set(definitions[table.__name__]["properties"]) - {"transport"}
         assert keys == set(table.__struct_fields__)
         assert definitions[table.__name__]["additionalProperties"] is False
     assert definitions["Rtu"]["required"] == ["transport", "port"]
+    assert definitions["RtuOverTcp"]["required"] == ["transport", "host", "port"]
     assert definitions["DeviceTable"]["required"] == ["profile", "connection"]
 
 

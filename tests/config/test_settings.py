@@ -26,6 +26,7 @@ HOUR, DAY = 3600 * 10**9, 86_400 * 10**9
 ROC = PROFILES["hiac-roc"]
 
 RTU = '[connections.bus]\ntransport = "rtu"\nport = "/dev/ttyS9"\n'
+GATEWAY = '[connections.bus]\ntransport = "rtu-over-tcp"\nhost = "10.0.0.2"\nport = 4001\n'
 DEVICE = '[devices.roc1]\nprofile = "hiac-roc"\nconnection = "bus"\n'
 
 
@@ -69,6 +70,42 @@ def test_defaults_of_a_tcp_server(load_text: Load) -> None:
         silence=0,
         character=0,
     )
+
+
+def test_defaults_of_a_udp_server(load_text: Load) -> None:
+    tables = [
+        load_text(f'[connections.bus]\ntransport = "{word}"\nhost = "plc"\n{DEVICE}').connections
+        for word in ("tcp", "udp")
+    ]
+    tcp, udp = (connections["bus"] for connections in tables)
+    assert udp == replace(tcp, transport="udp")
+    assert not udp.is_serial
+
+
+def test_defaults_of_a_gateway(load_text: Load) -> None:
+    """Times as on the serial line itself, for the format that the devices have."""
+    serial = load_text(RTU + DEVICE).connections["bus"]
+    gateway = load_text(GATEWAY + DEVICE).connections["bus"]
+    place = {"transport": "rtu-over-tcp", "host": "10.0.0.2", "port": 4001}
+    unknown = {"bytesize": 0, "parity": "", "stopbits": 0}
+    assert gateway == replace(serial, **place, **unknown)  # type: ignore[arg-type]
+    assert (gateway.place, gateway.is_serial) == ("10.0.0.2:4001", True)
+
+
+def test_everything_given_for_a_gateway(load_text: Load) -> None:
+    text = "baudrate = 19200\ntimeout = '200ms'\nlate_answer = '300ms'\nsilence = '4 chars'\n"
+    bus = load_text(GATEWAY + text + DEVICE + "unit = 247").connections["bus"]
+    assert (bus.baudrate, bus.character, bus.silence) == (19200, 520_834, 2_083_336)
+    assert (bus.timeout, bus.late_answer) == (200_000_000, 300_000_000)
+    spare = GATEWAY.replace("bus", "spare").replace("4001", "4002")
+    assert load_text(GATEWAY + spare + DEVICE).connections["spare"].baudrate == 9600
+
+
+def test_a_tcp_and_a_udp_server_at_one_place(load_text: Load) -> None:
+    text = "".join(
+        f"[connections.{word}]\ntransport = '{word}'\nhost = 'a'\n" for word in ("tcp", "udp")
+    )
+    assert len(load_text(text + DEVICE.replace("bus", "udp")).connections) == 2
 
 
 def test_defaults_of_the_recording(load_text: Load, tmp_path: Path) -> None:
@@ -177,9 +214,10 @@ def test_one_server_with_two_ports(load_text: Load) -> None:
 
 
 @pytest.mark.parametrize("unit", [0, 248, 255])
-def test_units_on_tcp(unit: int, load_text: Load) -> None:
-    tcp = '[connections.bus]\ntransport = "tcp"\nhost = "plc"\n'
-    assert load_text(f"{tcp}{DEVICE}unit = {unit}").devices["roc1"].unit == unit
+@pytest.mark.parametrize("transport", ["tcp", "udp"])
+def test_units_on_a_network(unit: int, transport: str, load_text: Load) -> None:
+    server = f'[connections.bus]\ntransport = "{transport}"\nhost = "plc"\n'
+    assert load_text(f"{server}{DEVICE}unit = {unit}").devices["roc1"].unit == unit
 
 
 def test_same_unit_twice_where_only_one_acknowledges(load_text: Load) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from wire import mbap_frame
 
 from roclog.errors import LinkDown, WrongAnswer
-from roclog.modbus.mbap import MbapExchange, MbapStream
+from roclog.modbus.mbap import DatagramExchange, MbapExchange, MbapStream, whole_frame
 from roclog.modbus.request import ReadRegisters
 
 READ = ReadRegisters(3, 300, 2)
@@ -116,3 +116,33 @@ def test_any_cut_gives_the_same_answer(
 def test_garbage_ends_in_a_documented_error_or_waits(octets: bytes, cuts: list[int]) -> None:
     with suppress(LinkDown, WrongAnswer):
         feed_all(exchange(), octets, cuts)
+
+
+def test_a_datagram_is_one_answer_or_wrong() -> None:
+    whole = mbap_frame(7, 1, ANSWER)
+    request = ReadRegisters(3, 300, 2)
+    assert DatagramExchange(1, request, 7).adu == MbapExchange(1, request, 7, MbapStream()).adu
+    assert DatagramExchange(1, request, 7).feed(whole) == ANSWER
+    for octets in (b"", whole[:1], whole[:-1], whole + b"\0", whole + whole):
+        assert whole_frame(octets) is None
+        with pytest.raises(WrongAnswer, match="not one answer"):
+            DatagramExchange(1, request, 7).feed(octets)
+    with pytest.raises(WrongAnswer, match="unit 2 answered"):
+        DatagramExchange(1, request, 7).feed(mbap_frame(7, 2, ANSWER))
+
+
+def test_datagrams_of_another_number_are_dropped_whole_or_not() -> None:
+    pending = DatagramExchange(1, ReadRegisters(3, 300, 2), 7)
+    for octets in (mbap_frame(6, 1, ANSWER), mbap_frame(6, 1, ANSWER)[:-2], b"\0\6"):
+        assert pending.feed(octets) is None
+    assert pending.stale == 3
+    assert pending.feed(mbap_frame(7, 1, ANSWER)) == ANSWER
+
+
+@settings(derandomize=True, deadline=None, max_examples=500)
+@given(st.lists(st.binary(max_size=300), max_size=4))
+def test_any_datagrams_end_in_a_wrong_answer_or_wait(datagrams: list[bytes]) -> None:
+    pending = DatagramExchange(1, ReadRegisters(3, 300, 2), 7)
+    with suppress(WrongAnswer):
+        for octets in datagrams:
+            pending.feed(octets)

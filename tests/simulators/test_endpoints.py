@@ -16,9 +16,11 @@ from pymodbus.framer import FramerRTU
 from roclog.simulators import (
     LineSettings,
     PtyEndpoint,
+    RtuOverTcpEndpoint,
     SimulatedRoc,
     SimulatorServer,
     TcpEndpoint,
+    UdpEndpoint,
     endpoints,
 )
 
@@ -395,5 +397,111 @@ def test_two_rocs_one_on_a_pty_and_one_on_tcp(tmp_path: Path, read_octets: ReadO
                 "8A 03 0A" + b"000007-138".hex()
             )
             assert (await reader.readexactly(19))[9:] == b"000008-138"
+
+    asyncio.run(main())
+
+
+class Datagrams:
+    """A client of a UDP endpoint: each answer waits up to 5 s."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.socket(type=socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._socket.connect(("127.0.0.1", port))
+
+    def send(self, text: str) -> None:
+        self._socket.send(bytes.fromhex(text))
+
+    async def receive(self) -> bytes:
+        async with asyncio.timeout(5):
+            return await asyncio.get_running_loop().sock_recv(self._socket, 4096)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def test_udp_answers() -> None:
+    async def main() -> None:
+        endpoint = UdpEndpoint("127.0.0.1", 0)
+        async with SimulatorServer([SimulatedRoc(seed=7), Broken()], endpoint):
+            client = Datagrams(endpoint.port)
+            for request, answer in (
+                ("00 01 00 00 00 06 8A 03 00 64 00 01", "00 01 00 00 00 05 8A 03 02 00 8A"),
+                ("FF FE 00 00 00 06 8A 06 01 2C 00 00", "FF FE 00 00 00 06 8A 06 01 2C 00 00"),
+                ("00 03 00 00 00 06 8A 04 01 2C 00 1B", "00 03 00 00 00 03 8A 84 01"),
+                ("00 05 00 00 00 06 05 03 01 2C 00 1B", "00 05 00 00 00 03 05 83 0B"),
+                ("00 06 00 00 00 06 09 03 01 2C 00 1B", "00 06 00 00 00 03 09 83 04"),
+            ):
+                client.send(request)
+                assert await client.receive() == bytes.fromhex(answer)
+            client.close()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        "00",
+        "00 01 00 00 00 06 8A 03",
+        "00 01 00 01 00 06 8A 03 00 64 00 01",
+        "00 01 00 00 00 06 8A 03 00 64 00 01 00",
+        2 * "00 01 00 00 00 06 8A 03 00 64 00 01 ",
+    ],
+)
+def test_udp_drops_what_is_not_one_request(broken: str) -> None:
+    async def main() -> None:
+        endpoint = UdpEndpoint("127.0.0.1", 0)
+        async with SimulatorServer([SimulatedRoc(seed=7)], endpoint):
+            client = Datagrams(endpoint.port)
+            client.send(broken)
+            client.send("00 02 00 00 00 06 8A 03 00 64 00 01")
+            assert await client.receive() == bytes.fromhex("00 02 00 00 00 05 8A 03 02 00 8A")
+            client.close()
+
+    asyncio.run(main())
+
+
+def test_rtu_over_tcp_answers() -> None:
+    """Piece by piece, and nothing for a unit that is not there."""
+
+    async def main() -> None:
+        endpoint = RtuOverTcpEndpoint("127.0.0.1", 0)
+        async with asyncio.timeout(5), SimulatorServer([SimulatedRoc(seed=7)], endpoint):
+            reader, writer = await asyncio.open_connection("127.0.0.1", endpoint.port)
+            writer.write(frame("07 03 01 2C 00 1B"))
+            await asyncio.sleep(0.02)
+            for cut in (8, 3):
+                writer.write(CLEAR_FLAG[:cut])
+                await asyncio.sleep(0.02)
+                writer.write(CLEAR_FLAG[cut:])
+                assert await reader.readexactly(8) == CLEAR_FLAG
+            writer.write(READ_IDENTITY)
+            answer = await reader.readexactly(101)
+            assert answer[:3] == bytes.fromhex("8A 03 60")
+            assert answer[99:] == crc(answer[:99])
+            writer.close()
+            await writer.wait_closed()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("kind", [UdpEndpoint, RtuOverTcpEndpoint])
+def test_network_endpoints_open_again_where_they_were(
+    kind: type[UdpEndpoint | RtuOverTcpEndpoint],
+) -> None:
+    async def main() -> None:
+        endpoint = kind("127.0.0.1", 0)
+        server = SimulatorServer([SimulatedRoc(seed=7)], endpoint)
+        ports = set()
+        for _ in range(3):
+            await server.start()
+            other = SimulatorServer([SimulatedRoc(seed=7)], kind("127.0.0.1", endpoint.port))
+            with pytest.raises(OSError, match=f"cannot listen on 127.0.0.1:{endpoint.port}"):
+                await other.start()
+            ports.add(endpoint.port)
+            await server.stop()
+            await asyncio.sleep(0)
+        assert len(ports) == 1
 
     asyncio.run(main())

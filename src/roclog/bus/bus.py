@@ -3,7 +3,8 @@
 On a serial line an answer carries no number. So after a time-out the line stays silent until the
 late answer came or could no longer come; an answer that arrives in that time can only belong to the
 one request that is out, and is used. Before every frame the line is silent for the time the slowest
-rule of its devices asks. TCP answers carry a number, so late ones are told apart and dropped.
+rule of its devices asks. The same holds for a line behind a gateway that hands RTU frames over TCP.
+With MBAP answers carry a number, so late ones are told apart and dropped.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import struct
 from dataclasses import dataclass
+from enum import Enum, auto
 from typing import TYPE_CHECKING, Final
 
 from roclog.clock import Instant
@@ -22,7 +24,7 @@ from roclog.errors import (
     WriteRefused,
     WrongAnswer,
 )
-from roclog.modbus.mbap import MbapExchange, MbapStream
+from roclog.modbus.mbap import DatagramExchange, MbapExchange, MbapStream, whole_frame
 from roclog.modbus.request import check_answer
 from roclog.modbus.rtu import Echo, RtuExchange
 
@@ -42,6 +44,16 @@ _SPOILED: Final = 50_000_000
 _FIRST_RETRY: Final = 100_000_000
 _LAST_RETRY: Final = 2_000_000_000
 """Nanoseconds between attempts to open a link: doubling until an answer comes over it."""
+
+
+class Framing(Enum):
+    """How an answer is found in what a link hands over."""
+
+    RTU = auto()
+    """By its shape and checksum; it carries no number."""
+    MBAP_STREAM = auto()
+    MBAP_DATAGRAM = auto()
+    """One whole frame in each piece."""
 
 
 class TooLate(DeviceError):
@@ -66,13 +78,14 @@ class Timing:
     """Rules of one connection, nanoseconds.
 
     timeout: for an answer to begin and end, from the end of the request.
-    late_answer: from the start of the request until its answer can no longer come; None where
+    late_answer: from the start of the request until its answer can no longer come; 0 where
     answers are numbered.
-    silence: before every frame. character: duration of one on the wire; both 0 on TCP.
+    silence: before every frame. character: duration of one on the wire; both 0 with MBAP.
     """
 
+    framing: Framing
     timeout: int
-    late_answer: int | None = None
+    late_answer: int = 0
     silence: int = 0
     character: int = 0
 
@@ -180,7 +193,7 @@ class Bus:
     async def _wait_for_line(self) -> None:
         """Until no old answer can come any more and the line has been silent long enough."""
         await self._sleep_until(self._owed_until)
-        limit = self._now() + (self.timing.late_answer or 0) + self.timing.silence
+        limit = self._now() + self.timing.late_answer + self.timing.silence
         while self._now() < (free := self._quiet_since + self.timing.silence):
             if self._now() > limit:
                 raise NoAnswer(f"{self.link.name}: the line is never silent, nothing was sent")
@@ -197,7 +210,7 @@ class Bus:
         asked = self._clock.now()
         sent = asked.monotonic + len(exchange.adu) * self.timing.character
         self._quiet_since = max(self._quiet_since, sent)
-        if self.timing.late_answer is not None:
+        if self.timing.framing is Framing.RTU:
             latest = asked.monotonic + self.timing.late_answer
             self._owed_until = max(latest, sent + self.timing.timeout)
         waiter = asyncio.get_running_loop().create_future()
@@ -248,9 +261,11 @@ class Bus:
         return waiter.done()
 
     def _new_exchange(self, unit: int, request: Request) -> Exchange:
-        if self.timing.late_answer is not None:
+        if self.timing.framing is Framing.RTU:
             return RtuExchange(unit, request, self.echo)
         self._transaction = self._transaction % 0xFFFF + 1
+        if self.timing.framing is Framing.MBAP_DATAGRAM:
+            return DatagramExchange(unit, request, self._transaction)
         return MbapExchange(unit, request, self._transaction, self._stream)
 
     def _settle(self, tally: Tally) -> None:
@@ -298,8 +313,12 @@ class Bus:
             waiter.set_exception(NoAnswer(f"{self.link.name}: the answer was damaged"))
 
     def _discard(self, octets: bytes) -> None:
-        """Nobody waits for this: noise on a serial line, late answers on TCP."""
-        if self.timing.late_answer is not None:
+        """Nobody waits for this: noise on a serial line, late answers and copies with MBAP."""
+        framing = self.timing.framing
+        if framing is Framing.MBAP_DATAGRAM and whole_frame(octets) is not None:
+            self._stale += 1
+            return
+        if framing is not Framing.MBAP_STREAM:
             self._stray += len(octets)
             return
         self._stream.receive(octets)

@@ -12,10 +12,11 @@ class Tally:
     requests: handed to the line. Each ends as one of answers, exceptions, wrong_answers, a time-out
     without a late answer, or a lost link.
     timeouts: no whole answer in time, late answers included.
-    late_answers: came after their time-out; on RTU still used, on TCP dropped by their number.
+    late_answers: came after their time-out; on RTU still used, else dropped by their number, as are
+    copies of an answer.
     crc_errors: time-outs of RTU in which something unreadable had come.
     wrong_answers: whole frames that do not answer the request.
-    discarded_octets: on RTU, beside answers and echoes.
+    discarded_octets: on RTU beside answers and echoes; on UDP, datagrams that are no answer.
     link_losses: links that went away or could not be opened.
     busy: from the request until the line was free again.
     """

@@ -1,4 +1,4 @@
-"""Modbus TCP link."""
+"""A TCP connection, to a Modbus TCP server or to a gateway that passes RTU frames through."""
 
 from __future__ import annotations
 

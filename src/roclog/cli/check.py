@@ -171,9 +171,11 @@ def _connection(connection: Connection) -> str:
     timeout = format_duration(connection.timeout)
     if connection.late_answer is None:
         return f"{text}, timeout {timeout}"
-    frame = f"{connection.bytesize}{connection.parity}{connection.stopbits}"
+    line = f"{connection.baudrate} Bd"
+    if connection.transport == "rtu":
+        line += f" {connection.bytesize}{connection.parity}{connection.stopbits}"
     return (
-        f"{text}, {connection.baudrate} Bd {frame}, timeout {timeout}, "
+        f"{text}, {line}, timeout {timeout}, "
         f"late answer {format_duration(connection.late_answer)}, "
         f"silence {_milliseconds(connection.silence)}"
     )

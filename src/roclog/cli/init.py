@@ -28,7 +28,7 @@ segment = {{ duration = "1h", size = "64 MiB" }}
 
 # The simulated device. Replace it by what you have.
 [connections.simulator]
-transport = "tcp"
+transport = "tcp"               # or "udp": one frame in each datagram, with the same keys
 host = "127.0.0.1"
 port = 5020                     # default 502
 # timeout = "1s"
@@ -36,7 +36,7 @@ port = 5020                     # default 502
 [devices.roc1]
 profile = "hiac-roc"            # roclog profiles lists what there is
 connection = "simulator"
-unit = 138                      # 1-247 on serial lines, 0-255 on TCP
+unit = 138                      # 1-247 on serial lines, 0-255 on TCP and UDP
 poll = "1s"                     # shorter than the time between two samples of the device
 # word_order = "ABCD"           # of 32-bit values; or CDAB
 # acknowledge = true            # false: never write, tell samples apart by change
@@ -55,6 +55,18 @@ poll = "1s"                     # shorter than the time between two samples of t
 # [devices.roc2]
 # profile = "hiac-roc"
 # connection = "hydraulics"
+
+# A serial line behind a gateway that passes octets through (raw TCP, not Modbus TCP).
+# [connections.gateway]
+# transport = "rtu-over-tcp"
+# host = "192.168.1.40"
+# port = 4001                   # always needed: the one that the gateway has for this line
+# baudrate = 9600               # of the line; the gateway has its own setting
+# timeout = "500ms"             # late_answer and silence as on a serial line
+#
+# [devices.roc3]
+# profile = "hiac-roc"
+# connection = "gateway"
 """
 
 

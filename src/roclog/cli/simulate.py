@@ -17,12 +17,21 @@ from roclog.quantities import format_duration, parse_duration
 from roclog.simulators import (
     LineSettings,
     PtyEndpoint,
+    RtuOverTcpEndpoint,
     SimulatedRoc,
     SimulatorServer,
     TcpEndpoint,
+    UdpEndpoint,
 )
 
 _SIMULATED: Final = {"hiac-roc": SimulatedRoc}
+_NETWORK: Final[dict[str, type[TcpEndpoint | UdpEndpoint | RtuOverTcpEndpoint]]] = {
+    "--tcp": TcpEndpoint,
+    "--udp": UdpEndpoint,
+    "--rtu-over-tcp": RtuOverTcpEndpoint,
+}
+
+Endpoint = TcpEndpoint | UdpEndpoint | RtuOverTcpEndpoint | PtyEndpoint
 
 
 class Wanted(NamedTuple):
@@ -89,6 +98,18 @@ def _positive(_: click.Context, parameter: click.Parameter, value: float) -> flo
     help="Serve Modbus TCP here; port 0 takes a free one.",
 )
 @click.option(
+    "--udp",
+    metavar="HOST:PORT",
+    callback=_address,
+    help="Serve Modbus UDP here.",
+)
+@click.option(
+    "--rtu-over-tcp",
+    metavar="HOST:PORT",
+    callback=_address,
+    help="Serve Modbus RTU over TCP here, as a gateway that passes octets through.",
+)
+@click.option(
     "--pty",
     metavar="LINK",
     type=click.Path(path_type=Path),
@@ -136,6 +157,8 @@ def simulate(
     devices: tuple[Wanted, ...],
     *,
     tcp: tuple[str, int] | None,
+    udp: tuple[str, int] | None,
+    rtu_over_tcp: tuple[str, int] | None,
     pty: Path | None,
     baud: int | None,
     turnaround: int | None,
@@ -159,13 +182,17 @@ def simulate(
     is_timed = any(option is not None for option in (baud, turnaround, usb_latency))
     if is_timed and pty is None:
         raise click.UsageError("--baud, --turnaround and --usb-latency are for --pty only")
-    endpoint: TcpEndpoint | PtyEndpoint
-    if tcp is not None and pty is None:
-        endpoint = TcpEndpoint(*tcp)
-    elif pty is not None and tcp is None:
-        endpoint = PtyEndpoint(pty, _line(devices, baud, turnaround or 0, usb_latency or 0))
-    else:
-        raise click.UsageError("one of --tcp and --pty is needed")
+    endpoints: list[Endpoint] = [
+        kind(*address)
+        for kind, address in zip(_NETWORK.values(), (tcp, udp, rtu_over_tcp), strict=True)
+        if address is not None
+    ]
+    if pty is not None:
+        line = _line(devices, baud, turnaround or 0, usb_latency or 0)
+        endpoints.append(PtyEndpoint(pty, line))
+    if len(endpoints) != 1:
+        raise click.UsageError(f"one of {', '.join(_NETWORK)} and --pty is needed")
+    (endpoint,) = endpoints
     with ExitStack() as files:
         served = []
         for wanted in devices:
@@ -202,7 +229,7 @@ def _with_unit(file: Path, unit: int) -> Path:
 
 async def _serve(
     server: SimulatorServer,
-    endpoint: TcpEndpoint | PtyEndpoint,
+    endpoint: Endpoint,
     devices: tuple[Wanted, ...],
     speed: float,
 ) -> None:
@@ -213,7 +240,8 @@ async def _serve(
     try:
         await server.start()
     except OSError as error:
-        option = "--tcp" if isinstance(endpoint, TcpEndpoint) else "--pty"
+        options = [option for option, kind in _NETWORK.items() if isinstance(endpoint, kind)]
+        option = options[0] if options else "--pty"
         reason = error.strerror or str(error)
         raise click.BadParameter(f"{_place(endpoint)}: {reason}", param_hint=option) from error
     try:
@@ -225,14 +253,14 @@ async def _serve(
         await server.stop()
 
 
-def _place(endpoint: TcpEndpoint | PtyEndpoint) -> str:
+def _place(endpoint: Endpoint) -> str:
     if isinstance(endpoint, PtyEndpoint):
         return str(endpoint.link)
     host = f"[{endpoint.host}]" if ":" in endpoint.host else endpoint.host
     return f"{host}:{endpoint.port}"
 
 
-def _described(endpoint: TcpEndpoint | PtyEndpoint) -> str:
+def _described(endpoint: Endpoint) -> str:
     """Give the place and how the line there is."""
     parts = [_place(endpoint)]
     if isinstance(endpoint, PtyEndpoint):

@@ -64,7 +64,7 @@ class BusLoad:
 
 
 def bus_loads(settings: Settings) -> list[BusLoad]:
-    """For every serial connection that has devices."""
+    """For every serial line that has devices, also behind a gateway."""
     loads: list[BusLoad] = []
     for connection in settings.connections.values():
         shares = tuple(
@@ -72,7 +72,7 @@ def bus_loads(settings: Settings) -> list[BusLoad]:
             for device in settings.devices.values()
             if device.connection == connection.name
         )
-        if shares and connection.transport == "rtu":
+        if shares and connection.is_serial:
             loads.append(BusLoad(connection.name, shares))
     return loads
 
@@ -117,11 +117,14 @@ def _file_warnings(settings: Settings) -> Iterator[Problem]:
 def _connection_warnings(connection: Connection, users: list[Device]) -> Iterator[tuple[str, str]]:
     if not users:
         yield "", "no device uses this connection"
-    if connection.transport != "rtu":
+    if not connection.is_serial:
         return
+    known = ["baudrate"]
+    if connection.transport == "rtu":  # else the gateway has the rest
+        known += ["bytesize", "parity", "stopbits"]
     for device in users:
         who = f"{device.profile.name} ({device.name})"
-        for name in ("baudrate", "bytesize", "parity", "stopbits"):
+        for name in known:
             actual, fixed = getattr(connection, name), getattr(device.profile.serial, name)
             if actual != fixed:
                 yield f".{name}", f"{shown(actual)}, but {who} has {shown(fixed)}"

@@ -11,7 +11,7 @@ from msgspec import UnsetType
 
 from roclog.config.leaves import Silence
 from roclog.config.settings import Connection, Device, RecordingSettings
-from roclog.config.tables import DeviceTable, Keep, Recording, Rtu, Segment, Tcp
+from roclog.config.tables import DeviceTable, Keep, Recording, Rtu, RtuOverTcp, Segment, Tcp, Udp
 from roclog.register_map import RegisterMap, SerialDefaults, WordOrder
 
 if TYPE_CHECKING:
@@ -64,11 +64,7 @@ def serial_line(
     stopbits = _given(table.stopbits, wanted[0].stopbits)
     bits = 1 + bytesize + (parity != "N") + stopbits
     character = math.ceil(bits * _SECOND / baudrate)
-    asked = max(serial.silence_characters for serial in wanted)
-    silence = max(least_silence(baudrate, character), math.ceil(asked * character))
-    if not isinstance(table.silence, UnsetType):
-        silence = table.silence.nanoseconds(character)
-    timeout = _given(table.timeout, max((p.answer_limit for p in profiles), default=_ANSWER_LIMIT))
+    timeout = _serial_timeout(table, profiles)
     return Connection(
         name=name,
         transport="rtu",
@@ -80,9 +76,48 @@ def serial_line(
         stopbits=stopbits,
         timeout=timeout,
         late_answer=_given(table.late_answer, 2 * timeout),
-        silence=silence,
+        silence=_silence(table, wanted, baudrate, character),
         character=character,
     )
+
+
+def gateway(name: str, table: RtuOverTcp, profiles: Sequence[RegisterMap]) -> Connection | None:
+    """As serial_line; characters are as long as those of the devices, at the given baud rate."""
+    if isinstance(table.host, UnsetType) or isinstance(table.port, UnsetType):
+        return None
+    wanted = [profile.serial for profile in profiles] or [_UNUSED_LINE]
+    baudrate = _given(table.baudrate, wanted[0].baudrate)
+    bits = max(1 + s.bytesize + (s.parity != "N") + s.stopbits for s in wanted)
+    character = math.ceil(bits * _SECOND / baudrate)
+    timeout = _serial_timeout(table, profiles)
+    return Connection(
+        name=name,
+        transport="rtu-over-tcp",
+        port=table.port,
+        host=table.host,
+        baudrate=baudrate,
+        bytesize=0,
+        parity="",
+        stopbits=0,
+        timeout=timeout,
+        late_answer=_given(table.late_answer, 2 * timeout),
+        silence=_silence(table, wanted, baudrate, character),
+        character=character,
+    )
+
+
+def _serial_timeout(table: Rtu | RtuOverTcp, profiles: Sequence[RegisterMap]) -> int:
+    longest = max((profile.answer_limit for profile in profiles), default=_ANSWER_LIMIT)
+    return _given(table.timeout, longest)
+
+
+def _silence(
+    table: Rtu | RtuOverTcp, wanted: Sequence[SerialDefaults], baudrate: int, character: int
+) -> int:
+    if not isinstance(table.silence, UnsetType):
+        return table.silence.nanoseconds(character)
+    asked = max(serial.silence_characters for serial in wanted)
+    return max(least_silence(baudrate, character), math.ceil(asked * character))
 
 
 def least_silence(baudrate: int, character: int) -> int:
@@ -92,14 +127,14 @@ def least_silence(baudrate: int, character: int) -> int:
     return LEAST_SILENCE.nanoseconds(character)
 
 
-def tcp_server(name: str, table: Tcp, profiles: Sequence[RegisterMap]) -> Connection | None:
+def server(name: str, table: Tcp | Udp, profiles: Sequence[RegisterMap]) -> Connection | None:
     """As serial_line."""
     if isinstance(table.host, UnsetType):
         return None
     limits = [profile.answer_limit for profile in profiles]
     return Connection(
         name=name,
-        transport="tcp",
+        transport="tcp" if isinstance(table, Tcp) else "udp",
         port=_given(table.port, 502),
         host=table.host,
         baudrate=0,

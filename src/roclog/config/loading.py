@@ -17,12 +17,14 @@ from roclog.config.reading import Problems, joined, read_table, read_toml, sugge
 from roclog.config.settings import Connection, Settings
 from roclog.config.tables import (
     LATER_PROFILES,
-    LATER_TRANSPORTS,
     Configuration,
     DeviceTable,
+    Line,
     Recording,
     Rtu,
+    RtuOverTcp,
     Tcp,
+    Udp,
 )
 from roclog.devices import PROFILES
 from roclog.errors import ConfigError
@@ -34,7 +36,12 @@ if TYPE_CHECKING:
     from roclog.config.settings import Device, RecordingSettings
     from roclog.register_map import RegisterMap
 
-_TRANSPORTS: Final[dict[str, type[Rtu | Tcp]]] = {"rtu": Rtu, "tcp": Tcp}
+_TRANSPORTS: Final[dict[str, type[Line]]] = {
+    "rtu": Rtu,
+    "tcp": Tcp,
+    "udp": Udp,
+    "rtu-over-tcp": RtuOverTcp,
+}
 _SHORTEST_SEGMENT: Final = 10**9
 _SMALLEST_SEGMENT: Final = 64 << 10
 _SERIAL_UNITS: Final = range(1, 248)
@@ -99,7 +106,7 @@ def _named_tables(file: dict[str, Any], key: str, problems: Problems) -> Iterato
             yield name, table
 
 
-def _read_connections(file: dict[str, Any], problems: Problems) -> Iterator[tuple[str, Rtu | Tcp]]:
+def _read_connections(file: dict[str, Any], problems: Problems) -> Iterator[tuple[str, Line]]:
     for name, table in _named_tables(file, "connections", problems):
         key = joined("connections", name)
         if not isinstance(table, dict):
@@ -110,26 +117,31 @@ def _read_connections(file: dict[str, Any], problems: Problems) -> Iterator[tupl
             own = _without_foreign_keys(transport, table, key, problems)
             yield name, read_table(_TRANSPORTS[transport], own, key, problems)
         elif "transport" not in table:
-            problems.add(f"{key}.transport", 'missing, needed is "rtu" or "tcp"')
-            allowed = {"transport", *Rtu.__struct_fields__, *Tcp.__struct_fields__}
-            problems.unknown_keys(key, table, allowed)
-        elif isinstance(transport, str) and transport in LATER_TRANSPORTS:
-            text = f'{shown(transport)} is not in this version, only "rtu" and "tcp" are'
-            problems.add(f"{key}.transport", text)
+            problems.add(f"{key}.transport", f"missing, needed is {_alternatives(_TRANSPORTS)}")
+            known = {name for kind in _TRANSPORTS.values() for name in kind.__struct_fields__}
+            problems.unknown_keys(key, table, {"transport", *known})
         else:
             hint = suggestion(transport, _TRANSPORTS) if isinstance(transport, str) else ""
-            problems.add(f"{key}.transport", f'{shown(transport)} is not "rtu" or "tcp"{hint}')
+            text = f"{shown(transport)} is not {_alternatives(_TRANSPORTS)}{hint}"
+            problems.add(f"{key}.transport", text)
 
 
 def _without_foreign_keys(
     transport: str, table: dict[str, Any], key: str, problems: Problems
 ) -> dict[str, Any]:
-    kind, (other,) = _TRANSPORTS[transport], (t for t in _TRANSPORTS if t != transport)
-    foreign = set(_TRANSPORTS[other].__struct_fields__) - set(kind.__struct_fields__)
-    for name in table:
-        if name in foreign:
-            problems.add(joined(key, name), f'only with transport = "{other}"')
-    return {name: value for name, value in table.items() if name not in foreign}
+    own = {}
+    for name, value in table.items():
+        having = [word for word, kind in _TRANSPORTS.items() if name in kind.__struct_fields__]
+        if having and transport not in having:
+            problems.add(joined(key, name), f"only with transport = {_alternatives(having)}")
+        else:
+            own[name] = value
+    return own
+
+
+def _alternatives(words: Iterable[str]) -> str:
+    *others, last = (shown(word) for word in words)
+    return " or ".join(filter(None, (", ".join(others), last)))
 
 
 def _read_devices(file: dict[str, Any], problems: Problems) -> Iterator[tuple[str, DeviceTable]]:
@@ -174,7 +186,7 @@ def _profiles_on(connection: str, devices: Mapping[str, DeviceTable]) -> list[Re
 
 
 def _connections(
-    lines: Mapping[str, Rtu | Tcp],
+    lines: Mapping[str, Line],
     devices: Mapping[str, DeviceTable],
     base: Path,
     problems: Problems,
@@ -185,29 +197,36 @@ def _connections(
         if isinstance(line, Rtu):
             connection = defaults.serial_line(name, line, profiles, base)
             _check_format(joined("connections", name), line, profiles, problems)
+        elif isinstance(line, RtuOverTcp):
+            connection = defaults.gateway(name, line, profiles)
+            _check_format(joined("connections", name), line, profiles, problems)
         else:
-            connection = defaults.tcp_server(name, line, profiles)
+            connection = defaults.server(name, line, profiles)
         if connection is not None:
             _check_times(joined("connections", name), connection, problems)
             connections[name] = connection
     for one, other in combinations(connections.values(), 2):
         if _place(one) == _place(other):
             key = joined("connections", other.name)
-            which = "host" if other.transport == "tcp" else "port"
+            which = "port" if other.transport == "rtu" else "host"
             text = f"{other.place} is the place of connection {shown(one.name)} already"
             problems.add(f"{key}.{which}", text)
     return connections
 
 
-def _place(connection: Connection) -> tuple[str, str | int]:
+def _place(connection: Connection) -> tuple[str, str, str | int]:
     """What two names of the same line or server have in common; links are followed."""
     if connection.transport == "rtu":
-        return "", os.path.realpath(str(connection.port))
-    return connection.host.lower(), connection.port
+        return "serial", "", os.path.realpath(str(connection.port))
+    protocol = "udp" if connection.transport == "udp" else "tcp"
+    return protocol, connection.host.lower(), connection.port
 
 
-def _check_format(key: str, line: Rtu, profiles: list[RegisterMap], problems: Problems) -> None:
-    for name in ("baudrate", "bytesize", "parity", "stopbits"):
+def _check_format(
+    key: str, line: Rtu | RtuOverTcp, profiles: list[RegisterMap], problems: Problems
+) -> None:
+    names = ("baudrate", "bytesize", "parity", "stopbits")
+    for name in (name for name in names if name in line.__struct_fields__):
         wanted = sorted({getattr(profile.serial, name) for profile in profiles})
         if len(wanted) > 1 and getattr(line, name) is UNSET and not problems.at(f"{key}.{name}"):
             choice = " and ".join(shown(value) for value in wanted)
@@ -229,7 +248,7 @@ def _check_times(key: str, connection: Connection, problems: Problems) -> None:
 
 
 def _devices(
-    tables: Mapping[str, DeviceTable], lines: Mapping[str, Rtu | Tcp], problems: Problems
+    tables: Mapping[str, DeviceTable], lines: Mapping[str, Line], problems: Problems
 ) -> dict[str, Device]:
     devices: dict[str, Device] = {}
     for name, table in tables.items():
@@ -240,7 +259,7 @@ def _devices(
             continue
         devices[name] = device
         line = lines.get(device.connection)
-        if isinstance(line, Rtu) and device.unit not in _SERIAL_UNITS:
+        if isinstance(line, Rtu | RtuOverTcp) and device.unit not in _SERIAL_UNITS:
             key = joined("devices", name)
             text = f"{device.unit} is not a unit on a serial line, 1 to 247"
             problems.add(f"{key}.unit", text)

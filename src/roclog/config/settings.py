@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from roclog.register_map import RegisterMap, WordOrder
 
-Transport = Literal["rtu", "tcp"]
+Transport = Literal["rtu", "tcp", "udp", "rtu-over-tcp"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,13 +31,16 @@ class RecordingSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Connection:
-    """A serial line or a TCP server.
+    """A serial line, a Modbus TCP or UDP server, or a gateway that passes RTU frames through.
 
-    port: path of the serial port, or TCP port number.
-    host: empty on a serial line; baudrate, bytesize, parity and stopbits are 0 or empty on TCP.
+    port: path of the serial port, or port number.
+    host: empty with rtu.
+    baudrate: of the line, also behind a gateway; 0 with tcp and udp.
+    bytesize, parity, stopbits: of the serial port; 0 or empty except with rtu.
     timeout: for an answer to begin and end, from the end of the request.
-    late_answer: from the start of a request until its answer can no longer come; None on TCP.
-    silence: before every frame. character: duration of one on the wire. Both 0 on TCP.
+    late_answer: from the start of a request until its answer can no longer come; None where answers
+    are numbered: with tcp and udp.
+    silence: before every frame. character: duration of one on the wire. Both 0 with tcp and udp.
     """
 
     name: str
@@ -52,6 +55,11 @@ class Connection:
     late_answer: int | None
     silence: int
     character: int
+
+    @property
+    def is_serial(self) -> bool:
+        """RTU frames on a line, here or behind a gateway."""
+        return self.transport in ("rtu", "rtu-over-tcp")
 
     @property
     def place(self) -> str:

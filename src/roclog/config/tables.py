@@ -14,7 +14,6 @@ from roclog.config.leaves import NAME, Duration, Host, PathText, Silence, Size, 
 from roclog.devices import PROFILES
 from roclog.register_map import WordOrder
 
-LATER_TRANSPORTS: Final = frozenset({"udp", "rtu-over-tcp"})
 LATER_PROFILES: Final = frozenset({"mei-timestamped", "mpa-48", "msx-e3317", "registers"})
 """Words of the interface that this version does not have yet."""
 
@@ -69,7 +68,7 @@ _Timeout = Annotated[
     Duration,
     Meta(
         description="For an answer to begin and end, from the end of the request; default: the "
-        "longest time that the devices may take, on TCP at least 1s"
+        "longest time that the devices may take, with tcp and udp at least 1s"
     ),
 ]
 _LateAnswer = Annotated[
@@ -115,6 +114,54 @@ class Tcp(Struct, kw_only=True, forbid_unknown_fields=True, tag_field="transport
     timeout: _Timeout | UnsetType = UNSET
 
 
+class Udp(Struct, kw_only=True, forbid_unknown_fields=True, tag_field="transport", tag="udp"):
+    """A Modbus UDP server: one frame in each datagram."""
+
+    host: _Host | UnsetType
+    port: _TcpPort | UnsetType = UNSET
+    timeout: _Timeout | UnsetType = UNSET
+
+
+_GatewayPort = Annotated[
+    int,
+    Meta(
+        ge=1,
+        le=65535,
+        title="a port from 1 to 65535",
+        description="Where the gateway passes octets through, like 4001",
+    ),
+]
+_GatewayBaudrate = Annotated[
+    int,
+    Meta(
+        ge=1,
+        le=4_000_000,
+        title="a whole number from 1 to 4000000",
+        description="Of the line behind the gateway, which has its own setting; here it tells how "
+        "long characters are. Default: as the devices are delivered",
+    ),
+]
+
+
+class RtuOverTcp(
+    Struct,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="transport",
+    tag="rtu-over-tcp",
+):
+    """A serial line with Modbus RTU behind a gateway that passes octets through."""
+
+    host: _Host | UnsetType
+    port: _GatewayPort | UnsetType
+    baudrate: _GatewayBaudrate | UnsetType = UNSET
+    timeout: _Timeout | UnsetType = UNSET
+    late_answer: _LateAnswer | UnsetType = UNSET
+    silence: _Silence | UnsetType = UNSET
+
+
+Line = Rtu | Tcp | Udp | RtuOverTcp
+
 _Profile = Annotated[
     str,
     Meta(
@@ -135,7 +182,7 @@ _Unit = Annotated[
     Meta(
         ge=0,
         le=255,
-        title="a unit: 1 to 247 on serial lines, 0 to 255 on TCP",
+        title="a unit: 1 to 247 on serial lines, 0 to 255 on TCP and UDP",
         description="Default: as the device is delivered",
     ),
 ]
@@ -172,7 +219,7 @@ class Configuration(Struct, kw_only=True, forbid_unknown_fields=True):
     """A roclog configuration."""
 
     recording: Recording | UnsetType = UNSET
-    connections: Annotated[dict[str, Rtu | Tcp], _ByName]
+    connections: Annotated[dict[str, Line], _ByName]
     devices: Annotated[dict[str, DeviceTable], _ByName]
 
 

@@ -1,4 +1,4 @@
-"""One TCP request and its answer: MBAP header, Messaging on TCP/IP V1.0b section 3.1.3."""
+"""One TCP or UDP request and its answer: MBAP header, Messaging on TCP/IP V1.0b section 3.1.3."""
 
 from __future__ import annotations
 
@@ -30,6 +30,10 @@ class MbapStream:
 
     def __init__(self) -> None:
         self._buffer = bytearray()
+
+    @property
+    def has_octets(self) -> bool:
+        return bool(self._buffer)
 
     def receive(self, octets: bytes) -> None:
         self._buffer += octets
@@ -80,3 +84,34 @@ class MbapExchange:
             else:
                 return frame.pdu
         return None
+
+
+def whole_frame(datagram: bytes) -> Frame | None:
+    """The frame that a datagram is; None where it is less, more or something else."""
+    stream = MbapStream()
+    stream.receive(datagram)
+    try:
+        frame = stream.next_frame()
+    except LinkDown:
+        return None
+    return None if frame is None or stream.has_octets else frame
+
+
+class DatagramExchange(MbapExchange):
+    """As MbapExchange, where each piece is a datagram: one whole answer, or none."""
+
+    def __init__(self, unit: int, request: Request, transaction: int) -> None:
+        super().__init__(unit, request, transaction, MbapStream())
+
+    def feed(self, octets: bytes) -> bytes | None:
+        """The PDU, normal or exception; None where the datagram belongs to another request.
+
+        Raises:
+            WrongAnswer: the unit does not fit, or the datagram is not one whole answer.
+        """
+        if whole_frame(octets) is not None:
+            return super().feed(octets)
+        if len(octets) >= 2 and octets[:2] != self.adu[:2]:
+            self.stale += 1
+            return None
+        raise WrongAnswer(f"a datagram of {len(octets)} octets that is not one answer", octets)

@@ -70,9 +70,7 @@ class RtuExchange:
         If nothing follows them, they were the answer, damaged, and no other will come.
         """
         start = self._buffer.find(self._head)
-        return (
-            self.echo is Echo.ABSENT and start >= 0 and len(self._buffer) - start == self._size
-        )
+        return self.echo is Echo.ABSENT and start >= 0 and len(self._buffer) - start == self._size
 
     @property
     def leftover(self) -> bytes:

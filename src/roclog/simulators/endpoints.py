@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Final
 
 from pymodbus.exceptions import NoSuchIdException
-from pymodbus.framer import FramerRTU
+from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer, ModbusUdpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from roclog.simulators.serial_line import LineSettings, SerialLine
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
     from roclog.simulators.serial_line import Statistics
     from roclog.simulators.server import Answer
+
+    Server = ModbusTcpServer | ModbusUdpServer | ModbusSerialServer
 
 logger = logging.getLogger(__name__)
 
@@ -55,32 +58,72 @@ COUNTED: Final = {15: (6, 9), 16: (6, 9), 20: (2, 5), 21: (2, 5), 23: (10, 13)}
 """Place of the octet that counts those behind it, and the octets of a request besides those."""
 
 
-class TcpEndpoint:
-    """Modbus TCP on `host` and `port`; a unit id without a device is answered as by a gateway.
+class NetworkEndpoint(ABC):
+    """Devices on `host` and `port`.
 
     Port 0 takes a free one; `port` tells which while the endpoint is open.
     """
 
-    is_gateway = True
+    is_gateway: bool
 
     def __init__(self, host: str, port: int) -> None:
         self.host = host
         self.port = port
-        self._server: ModbusTcpServer | None = None
+        self._server: ModbusTcpServer | ModbusUdpServer | None = None
+
+    @abstractmethod
+    def _new_server(self) -> ModbusTcpServer | ModbusUdpServer: ...
 
     async def open(self, answer: Answer) -> None:
-        server = ModbusTcpServer(
-            _unused_device(), address=(self.host, self.port), ignore_missing_devices=True
-        )
+        server = self._new_server()
         await _serve(server, answer, f"{self.host}:{self.port}")
         self._server = server
         if isinstance(server.transport, asyncio.Server):
             self.port = server.transport.sockets[0].getsockname()[1]
+        else:
+            self.port = server.transport.get_extra_info("sockname")[1]
 
     async def close(self) -> None:
         if self._server is not None:
             await self._server.shutdown()  # type: ignore[no-untyped-call]
             self._server = None
+
+
+class TcpEndpoint(NetworkEndpoint):
+    """Modbus TCP; a unit id without a device is answered as by a gateway."""
+
+    is_gateway = True
+
+    def _new_server(self) -> ModbusTcpServer:
+        address = self.host, self.port
+        return ModbusTcpServer(_unused_device(), address=address, ignore_missing_devices=True)
+
+
+class UdpEndpoint(NetworkEndpoint):
+    """Modbus UDP; a unit id without a device is answered as by a gateway.
+
+    Of requests that arrive from two clients at the same time one may be lost, as on any network.
+    """
+
+    is_gateway = True
+
+    def _new_server(self) -> ModbusUdpServer:
+        address = self.host, self.port
+        server = ModbusUdpServer(_unused_device(), address=address, ignore_missing_devices=True)
+        server.framer = _DatagramFramer
+        return server
+
+
+class RtuOverTcpEndpoint(NetworkEndpoint):
+    """Modbus RTU over TCP, as a gateway that passes octets through; absent units are silent."""
+
+    is_gateway = False
+
+    def _new_server(self) -> ModbusTcpServer:
+        address = self.host, self.port
+        server = ModbusTcpServer(_unused_device(), address=address, ignore_missing_devices=True)
+        server.framer = _RtuFramer
+        return server
 
 
 class PtyEndpoint:
@@ -126,7 +169,7 @@ class PtyEndpoint:
             self._line = None
 
 
-async def _serve(server: ModbusTcpServer | ModbusSerialServer, answer: Answer, place: str) -> None:
+async def _serve(server: Server, answer: Answer, place: str) -> None:
     # pymodbus logs every frame that it cannot use as an error; on a line that is not news.
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
     server.decoder = _Decoder(answer)
@@ -213,6 +256,16 @@ class _RtuFramer(FramerRTU):
             if self.check_CRC(data[start:-2], int.from_bytes(data[-2:], "big")):
                 return len(data), data[start], 0, data[start + 1 : -2]
         return 0, 0, 0, self.EMPTY
+
+
+class _DatagramFramer(FramerSocket):
+    """Drops a datagram that is not one whole request; no part of it waits for the next."""
+
+    def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
+        size, unit, transaction, pdu = super().decode(data)
+        if size != len(data):
+            return len(data), 0, 0, self.EMPTY
+        return size, unit, transaction, pdu
 
 
 def _request_size(data: bytes, start: int) -> int | None:

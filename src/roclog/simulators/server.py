@@ -65,7 +65,7 @@ class SimulatorServer:
     Args:
         devices: The devices of this line. Two that get the same unit id during their life are not
             told apart: the first one answers.
-        endpoint: A `TcpEndpoint` or `PtyEndpoint`.
+        endpoint: A `TcpEndpoint`, `UdpEndpoint`, `RtuOverTcpEndpoint` or `PtyEndpoint`.
         speed: Seconds of the devices' time per second of `clock`.
         clock: Monotonic seconds.
 

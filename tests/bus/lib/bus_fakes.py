@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from wire import mbap_frame, rtu_frame
 
-from roclog.bus.bus import Bus, Timing
+from roclog.bus.bus import Bus, Framing, Timing
 from roclog.clock import Instant
 from roclog.modbus.request import ReadRegisters, WriteRegister
 
@@ -23,8 +23,8 @@ START = 1_000 * 10**9
 UNIT = 138
 SILENCE = 5 * MS
 LATE = 1000 * MS
-RTU = Timing(timeout=500 * MS, late_answer=LATE, silence=SILENCE, character=MS)
-TCP = Timing(timeout=500 * MS)
+RTU = Timing(framing=Framing.RTU, timeout=500 * MS, late_answer=LATE, silence=SILENCE, character=MS)
+TCP = Timing(framing=Framing.MBAP_STREAM, timeout=500 * MS)
 READ = ReadRegisters(3, 300, 2)
 OTHER = ReadRegisters(3, 400, 2)
 CLEAR = WriteRegister(300, 0)
