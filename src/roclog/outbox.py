@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from roclog.errors import StorageError
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from roclog.clock import Clock
 
 _MOST: Final = 1000
-"""Messages kept while the disk takes none; older ones are given up, and counted."""
+"""Messages kept while the disk takes none; then the oldest samples are given up, and counted."""
 
 
 class Recorder(Protocol):
@@ -38,7 +37,7 @@ class Outbox:
         self._recorder = recorder
         self._clock = clock
         self._waiting: list[Entry] = []
-        self._given_up: list[Entry] = []
+        self._given_up: tuple[int, int, int] | None = None
         self._failing = False
 
     @property
@@ -49,13 +48,19 @@ class Outbox:
     def add(self, entry: Entry) -> None:
         self._waiting.append(entry)
         if len(self._waiting) > _MOST:
-            self._given_up.append(replace(self._waiting.pop(0), data=b"", carry=None))
+            samples = (n for n, waiting in enumerate(self._waiting) if waiting.carry is not None)
+            oldest = self._waiting.pop(next(samples, 0))
+            first, count = self._given_up[0::2] if self._given_up else (oldest.log_time, 0)
+            self._given_up = (first, oldest.log_time, count + 1)
 
-    def take_given_up(self) -> list[Entry]:
-        """Head of the messages that were read but could not be kept, once the disk is back."""
-        taken: list[Entry] = []
-        if not self._failing:
-            taken, self._given_up = self._given_up, []
+    def take_given_up(self) -> tuple[int, int, int] | None:
+        """First and last log_time and number of samples that were read but could not be kept.
+
+        None while the disk takes nothing, and where there are none.
+        """
+        if self._failing or self._given_up is None:
+            return None
+        taken, self._given_up = self._given_up, None
         return taken
 
     def note(self, entry: Entry) -> None:

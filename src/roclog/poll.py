@@ -25,7 +25,7 @@ _SETTLE_MAX: Final = 250_000_000
 """Nanoseconds between the two reads that confirm a sample: a quarter of the cycle, at most this.
 Longer than a device takes to update its block, short against its cycle."""
 _LOOKS: Final = 4
-"""Reads before an unguarded clear goes out although every answer took long."""
+"""Reads in one poll for a block that does not hold still, or of which every answer takes long."""
 _REFUSED_PAUSE: Final = 60 * 10**9
 """Nanoseconds before a refused clear is tried again."""
 
@@ -88,11 +88,14 @@ class FlaggedBlock:
         Raises:
             DeviceError: a read failed; what was learnt before is kept.
         """
-        looks = 1
+        looks, unsettled = 1, 0
         while True:
             verdict = await self._look()
             looks = 1 if verdict.news else looks
             if verdict.again:
+                unsettled += 1
+                if unsettled > _LOOKS:
+                    return  # it does not hold still; the next poll goes on from here
                 await asyncio.sleep(self._settle() / 1e9)
                 continue
             if not verdict.clear or not self._may_clear():
@@ -111,12 +114,14 @@ class FlaggedBlock:
         """Leave nothing unsaid at the end of a run."""
         now = self._clock.now()
         self._tell_missed(self.cadence.close(), now)
+        known_until = self.last.read.utc if self.last is not None else 0
         candidate = self._memory.candidate
         if candidate is not None:
             raw = self._reading(candidate).raw.hex(" ")
             self._event("warning", "unconfirmed", f"stopped before a second read of {raw}")
+            known_until = self._reading(candidate).known_until
         if self.last is not None and self._outbox.empty:
-            carry = self._maker.carry(self._memory, self.last.read.utc)
+            carry = self._maker.carry(self._memory, known_until)
             self._outbox.checkpoint(self._maker.topic, carry)
 
     async def _look(self) -> Verdict:
@@ -128,7 +133,8 @@ class FlaggedBlock:
             reading = replace(reading, previous=self._reading(candidate).read.utc)
             seen = replace(seen, reading=reading)
         self._memory, verdict = judge(self._memory, seen)
-        self._tell_downtime(reading.read)
+        if self.cadence.cycle is not None or verdict.news:
+            self._tell_downtime(reading.read)
         self._record(reading, verdict)
         self.last = reading
         if not verdict.again:
@@ -282,10 +288,10 @@ class FlaggedBlock:
             )
 
     def _tell_given_up(self, now: Instant) -> None:
-        lost = [e for e in self._outbox.take_given_up() if e.topic == self._maker.topic]
-        if lost:
-            first, last = lost[0].log_time, lost[-1].log_time
-            self._outbox.add(self._maker.gap(first, last, len(lost), Reason.STORAGE, now.utc))
+        lost = self._outbox.take_given_up()
+        if lost is not None:
+            first, last, count = lost
+            self._outbox.add(self._maker.gap(first, last, count, Reason.STORAGE, now.utc))
 
     def _settle(self) -> int:
         cycle = self.cadence.effective_cycle

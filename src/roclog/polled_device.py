@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _LINK_PERIOD: Final = 60 * 10**9
 _PATIENCE: Final = 3
 """Failures in a row that are not yet held against a device."""
-_FACTS_PAUSE: Final = 10 * 10**9
+_LONGEST_PAUSE: Final = 30 * 10**9
 _ABSENT: Final = 60 * 10**9
 """After this long without an answer another device may stand there: the facts are read again."""
 
@@ -56,7 +56,7 @@ class PolledDevice:
         self._writer = writer
         self._clock = clock
         self._facts_due = True
-        self._facts_after = 0
+        self._facts_failed = False
         self._trouble = ""
         self._failures = 0
         self._silent_since: int | None = None
@@ -76,14 +76,14 @@ class PolledDevice:
         period = self.device.poll
         due = self._clock.now().monotonic
         while not stop.is_set():
-            began = self._clock.now().monotonic
+            busy = self._tally.busy
             await self._poll()
             now = self._clock.now().monotonic
             self._report_link(now - self._link_since.monotonic)
             due += period
             if now - due > period:
                 due += (now - due) // period * period
-            due = max(due, now + self._pause(now - began))
+            due = max(due, now + self._pause(self._tally.busy - busy))
             with suppress(TimeoutError):
                 async with asyncio.timeout(max(0, due - self._clock.now().monotonic) / 1e9):
                     await stop.wait()
@@ -91,14 +91,16 @@ class PolledDevice:
     def _pause(self, cost: int) -> int:
         """Rest after a failure, so that silent devices together take a quarter of a shared line.
 
-        A device that is alone on its connection is asked at every poll, answering or not.
+        cost: what the failure took of the line. Where nobody answers there is nobody to spare.
         """
         failing = self._bus.failing
-        if self._failures < _PATIENCE or self._bus.devices == 1:
+        if self._failures < _PATIENCE:
             failing.discard(self.device.name)
             return 0
         failing.add(self.device.name)
-        return 3 * cost * len(failing)
+        if len(failing) == self._bus.devices:
+            return 0
+        return min(3 * cost * len(failing), _LONGEST_PAUSE)
 
     def close(self) -> None:
         """The end of a run: what is still open is said."""
@@ -108,8 +110,9 @@ class PolledDevice:
     async def _poll(self) -> None:
         """One attempt; a device that does not answer costs one time-out."""
         try:
-            if self._facts_due and self._clock.now().monotonic >= self._facts_after:
+            if self._facts_due and not self._facts_failed:
                 await self._read_facts()
+            self._facts_failed = False
             await self._block.turn()
         except DeviceError as error:
             self._tell_trouble(error)
@@ -118,8 +121,8 @@ class PolledDevice:
         self._watch(self._block.last)
 
     async def _read_facts(self) -> None:
-        """Identity and configuration. One that is not answered is asked for again later."""
-        self._facts_after = self._clock.now().monotonic + _FACTS_PAUSE
+        """Identity and configuration; after a failure the next poll goes without them."""
+        self._facts_failed = True
         for block in self.device.profile.facts:
             try:
                 self.facts[block.name] = await self._read_fact(block)

@@ -73,14 +73,15 @@ def _stopping_signals(stop: asyncio.Event) -> Iterator[None]:
     """The first signal stops in order; a second one at once."""
     loop = asyncio.get_running_loop()
 
-    def ask(number: int) -> None:
+    def ask() -> None:
         stop.set()
-        loop.remove_signal_handler(number)
-        signal.signal(number, signal.SIG_DFL)
+        for number in numbers:
+            loop.remove_signal_handler(number)
+            signal.signal(number, signal.SIG_DFL)
 
     numbers = (signal.SIGINT, signal.SIGTERM)
     for number in numbers:
-        loop.add_signal_handler(number, ask, number)
+        loop.add_signal_handler(number, ask)
     try:
         yield
     finally:

@@ -13,8 +13,8 @@ def notify(state: str) -> None:
         return
     if address.startswith("@"):
         address = "\0" + address[1:]
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as out:
-        try:
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as out:
             out.sendto(state.encode(), address)
-        except OSError:
-            return  # the supervisor went away; recording goes on without it
+    except OSError:
+        return  # the supervisor went away; recording goes on without it

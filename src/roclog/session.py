@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import uuid
+from contextlib import AsyncExitStack
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
@@ -71,36 +72,41 @@ class Session:
 
     async def __aenter__(self) -> Self:
         recording = self.settings.recording
-        self._directory = Directory(recording.directory)
-        try:
+        async with AsyncExitStack() as stack:
+            self._directory = Directory(recording.directory)
+            stack.callback(self._directory.release)
             leftover = self._directory.hot_segments()
             self._inheritance = self._directory.inherit()
             keep = Retention(self._clock, recording.keep_age, recording.keep_size)
             limited = recording.keep_age is not None or recording.keep_size is not None
             self._sealer = Sealer(recording.directory, keep if limited else None, self._tell)
+            stack.push_async_callback(asyncio.to_thread, self._sealer.close)
             for path in leftover:
                 self._sealer.seal(path)
-            try:
-                self._writer = self._open_writer(self._inheritance)
-            except BaseException:
-                self._sealer.close()
-                raise
-        except BaseException:
-            self._directory.release()
-            raise
-        self._build()
+            self._writer = self._open_writer(self._inheritance)
+            stack.push_async_callback(asyncio.to_thread, self._writer.close)
+            self._build()
+            for bus in self._buses.values():
+                stack.callback(bus.close)
+            stack.push_async_callback(self._finish_devices)
+            self._opened = stack.pop_all()
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        """Every message is on disk, the segment sealed and the directory free on return."""
+        """Every message is on disk, the segment sealed and the directory free on return.
+
+        Raises:
+            StorageError: not everything could be written.
+        """
+        await self._opened.aclose()
+
+    async def _finish_devices(self) -> None:
         for device in self.devices:
-            device.close()
-            await device.outbox.flush()
-        for bus in self._buses.values():
-            bus.close()
-        await asyncio.to_thread(self._writer.close)
-        await asyncio.to_thread(self._sealer.close)
-        self._directory.release()
+            try:
+                device.close()
+                await device.outbox.flush()
+            except Exception:  # noqa: BLE001 - one device's fault keeps no other from closing
+                _log.exception("%s: while closing", device.device.name)
 
     async def run(self) -> None:
         """Record until ``stop``. One task a device; one that breaks is told and restarted."""
@@ -214,15 +220,20 @@ class Session:
 
 
 def _resume(carry: Mapping[str, object] | None) -> tuple[bytes, Memory]:
+    """Epoch and memory of a block; a new epoch where nothing usable is carried over."""
     if carry is None:
         return uuid.uuid4().bytes, Memory()
-    payload = carry["payload"]
-    memory = recover(
-        int(str(carry["seq"])),
-        None if payload is None else bytes.fromhex(str(payload)),
-        cleared=bool(carry["cleared"]),
-    )
-    return bytes.fromhex(str(carry["epoch"])), memory
+    try:
+        payload = carry["payload"]
+        memory = recover(
+            int(str(carry["seq"])),
+            None if payload is None else bytes.fromhex(str(payload)),
+            cleared=bool(carry["cleared"]),
+        )
+        return uuid.UUID(hex=str(carry["epoch"])).bytes, memory
+    except (KeyError, ValueError) as error:
+        _log.warning("the state carried over is not usable (%r), a new epoch begins", error)
+        return uuid.uuid4().bytes, Memory()
 
 
 def _boot_id() -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,8 @@ from recording_bench import START, Bench, ManualClock, open_bench, sample
 import roclog
 from roclog.errors import StorageError
 from roclog.recording.entries import log_entry
+from roclog.recording.retention import Retention
+from roclog.recording.segment import HotSegment
 from roclog.recording.writer import Limits
 
 if TYPE_CHECKING:
@@ -169,3 +172,53 @@ def test_log_time_is_levelled_by_milliseconds_only(bench: Bench) -> None:
 def test_a_second_recorder_is_told(bench: Bench) -> None:
     with pytest.raises(StorageError, match="another roclog is recording"):
         open_bench(bench.root, bench.clock)
+
+
+def test_a_deleted_folder_fails_the_commit_and_is_made_again(bench: Bench) -> None:
+    bench.commit(1)
+    shutil.rmtree(bench.root)
+    bench.commit(2)
+    assert counts(bench.root) == [0.02]
+
+
+def test_a_failing_disk_is_not_littered(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench.commit(1)
+    append = HotSegment.append
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "injected")
+
+    monkeypatch.setattr(HotSegment, "append", refuse)
+    for number in range(2, 60):
+        with pytest.raises(StorageError):
+            bench.commit(number)
+    monkeypatch.setattr(HotSegment, "append", append)
+    bench.clock.advance(10 * 10**9)
+    bench.commit(2)
+    bench.sealer.close()
+    assert counts(bench.root) == [0.01, 0.02]
+    assert len(bench.directory.sealed_segments()) + len(bench.directory.hot_segments()) <= 3
+
+
+def test_messages_of_one_commit_are_in_order_of_time(bench: Bench) -> None:
+    first = sample(1, bench.clock)
+    bench.clock.advance(20 * 10**9)
+    second = sample(2, bench.clock)
+    bench.writer.commit([second, first]).result(10)
+    with roclog.open(bench.root) as recording:
+        assert [(s.seq, s.log_time == s.read_at) for s in recording.samples()] == [
+            (1, True),
+            (2, True),
+        ]
+
+
+def test_retention_goes_by_number_and_leaves_foreign_files(tmp_path: Path) -> None:
+    clock = ManualClock()
+    names = ("2026/01/01/20260101T000000Z-00000001", "1970/01/01/19700101T000000Z-00000002")
+    paths = [tmp_path / f"{name}.mcap" for name in (*names, "2026/01/02/20260102T000000Z-00000003")]
+    foreign = tmp_path / "2026/01/01/holiday.mcap"
+    for path in (*paths, foreign):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(bytes(1000))
+    assert list(Retention(clock, None, 2000).apply(tmp_path)) == [paths[0]]
+    assert foreign.exists()

@@ -12,7 +12,7 @@ import os
 import uuid
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from mcap.records import Channel, Message, Metadata
 
@@ -43,6 +43,9 @@ class Inheritance:
     carry: Carry = field(default_factory=dict)
 
 
+_SEALING: Final = "[0-9][0-9][0-9][0-9]/[0-9][0-9]/[0-9][0-9]/*.sealing-[0-9]*"
+
+
 class Directory:
     """Exclusive use of a recording directory."""
 
@@ -60,8 +63,13 @@ class Directory:
         except OSError as error:
             os.close(self._lock)
             raise StorageError(root, "another roclog is recording into this directory") from error
-        for leftover in (*root.rglob("*.sealing-*"), *root.glob(".state-*")):
-            leftover.unlink(missing_ok=True)
+        for leftover in (*root.glob(_SEALING), *root.glob(".state-[0-9]*")):
+            with suppress(OSError):
+                leftover.unlink()
+
+    def restore(self) -> None:
+        """Make the folders again, should somebody have deleted them. Raises OSError."""
+        _make_durably(self.hot)
 
     def release(self) -> None:
         os.close(self._lock)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from roclog.clock import Clock
+
+_SEALED: Final = re.compile(r"\d{8}T\d{6}Z-(\d{8,})\.mcap")
+"""Names that sealing gives; the number at the end only grows, whatever the clock said."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +25,16 @@ class Retention:
     size: int | None
 
     def apply(self, root: Path) -> Iterator[Path]:
-        """Delete what the limits no longer allow, oldest first; yields each deleted path."""
-        paths = sorted(root.glob("[0-9]*/[0-9]*/[0-9]*/*.mcap"), key=lambda path: path.name)
-        facts = [(path, path.stat()) for path in paths]
+        """Delete what the limits no longer allow, oldest first, never the newest.
+
+        Files that roclog did not seal are left alone and not counted. Raises OSError.
+        """
+        found = [
+            (int(match[1]), path)
+            for path in root.glob("[0-9]*/[0-9]*/[0-9]*/*.mcap")
+            if (match := _SEALED.fullmatch(path.name)) is not None
+        ]
+        facts = [(path, path.stat()) for _, path in sorted(found)]
         total = sum(stat.st_size for _, stat in facts)
         now = self.clock.now().utc
         for path, stat in facts[:-1]:
@@ -31,6 +42,6 @@ class Retention:
             too_big = self.size is not None and total > self.size
             if not (too_old or too_big):
                 return
-            path.unlink()
+            path.unlink(missing_ok=True)
             total -= stat.st_size
             yield path

@@ -45,13 +45,21 @@ class Sealer:
         while (path := self._paths.get()) is not None:
             try:
                 seal(path, self._root)
-                if self._retention is not None:
-                    for deleted in self._retention.apply(self._root):
-                        self._tell("info", f"deleted {deleted} as the keep setting asks")
             except DamagedFile as problem:
                 self._set_aside(path, problem)
             except OSError as error:
                 self._tell("error", f"{path} stays unsealed: {error}")
+            else:
+                self._delete_old()
+
+    def _delete_old(self) -> None:
+        if self._retention is None:
+            return
+        try:
+            for deleted in self._retention.apply(self._root):
+                self._tell("info", f"deleted {deleted} as the keep setting asks")
+        except OSError as error:
+            self._tell("error", f"an old segment could not be deleted: {error}")
 
     def _set_aside(self, path: Path, problem: DamagedFile) -> None:
         """A crash before the head was on disk leaves a file with nothing in it to seal."""

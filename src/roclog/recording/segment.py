@@ -6,6 +6,7 @@ message. It has no footer; a reader takes what is whole.
 
 from __future__ import annotations
 
+import errno
 import os
 import zlib
 from typing import TYPE_CHECKING
@@ -43,10 +44,16 @@ class HotSegment:
             self._write(_head(library, channels, metadata))
             os.fsync(self._fd)
             sync_directory(path.parent)
+            self._head_size = self.size
         except OSError:
             self.close()
             path.unlink(missing_ok=True)  # nothing is committed yet; a full disk is not littered
             raise
+
+    @property
+    def is_empty(self) -> bool:
+        """Nothing was appended behind the head."""
+        return self.size == self._head_size
 
     def append(self, entries: Sequence[Entry], *, sync: bool) -> None:
         """One chunk with all entries; on return with ``sync`` they are on disk.
@@ -68,6 +75,8 @@ class HotSegment:
         self._write(_chunk(builder.end(), first, self.last_log_time))
         if sync:
             os.fsync(self._fd)
+            if os.fstat(self._fd).st_nlink == 0:
+                raise FileNotFoundError(errno.ENOENT, "the segment was deleted", str(self.path))
 
     def append_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """One metadata record; on disk with the next synced append."""

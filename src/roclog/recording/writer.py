@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 _STEP: Final = 10**9
-"""Nanoseconds by which the wall clock may fall behind log_time before a new segment is begun."""
+"""Nanoseconds by which a message may be older than its predecessor in the same segment."""
+_FIRST_RETRY: Final = 100_000_000
+_LAST_RETRY: Final = 5_000_000_000
+"""Nanoseconds between attempts while the disk takes nothing: doubling from first to last."""
 STATE_METADATA: Final = "roclog.state"
 
 
@@ -78,7 +81,9 @@ class Writer:
         self._unsynced: list[Entry] = []
         self._segment: HotSegment | None = None
         self._opened_at = 0
-        self._failing = False
+        self._retry_at = 0
+        self._retry_delay = _FIRST_RETRY
+        self._failure: StorageError | None = None
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         try:
             self._segment = self._open_next()
@@ -104,10 +109,16 @@ class Writer:
         return self._submit(_Job((), durable=False, done=Future(), carry=(topic, values)))
 
     def close(self) -> None:
-        """Write what waits, close and seal the segment, leave the state file. Idempotent."""
+        """Write what waits, close and seal the segment, leave the state file. Idempotent.
+
+        Raises:
+            StorageError: the last segment could not be closed, or nothing could be written.
+        """
         if self._thread.is_alive():
             self._jobs.put(None)
             self._thread.join()
+        if self._failure is not None:
+            raise self._failure
 
     def _submit(self, job: _Job) -> Future[None]:
         job.done.set_running_or_notify_cancel()  # who stops waiting does not stop the writer
@@ -127,31 +138,39 @@ class Writer:
     def _serve(self, jobs: list[_Job]) -> None:
         if not jobs:
             return
+        if self._failure is None or self._clock.now().monotonic >= self._retry_at:
+            self._failure = self._try(jobs)
+        for job in jobs:
+            if self._failure is None:
+                job.done.set_result(None)
+            else:
+                job.done.set_exception(self._failure)
+
+    def _try(self, jobs: list[_Job]) -> StorageError | None:
+        """Write into this segment or, where that fails, into a new one."""
         try:
             self._write(jobs)
         except OSError as first:
-            if not self._failing:
+            if self._failure is None:
                 _log.error("%s: %s; trying a new segment", self._directory.root, first)
             try:
                 self._abandon()
                 self._write(jobs)
             except OSError as error:
                 self._abandon()
-                self._failing = True
-                failure = self._storage_error(error)
-                for job in jobs:
-                    job.done.set_exception(failure)
-                return
-        self._failing = False
-        for job in jobs:
-            job.done.set_result(None)
+                self._retry_at = self._clock.now().monotonic + self._retry_delay
+                self._retry_delay = min(2 * self._retry_delay, _LAST_RETRY)
+                return self._storage_error(error)
+        self._retry_delay = _FIRST_RETRY
+        return None
 
     def _write(self, jobs: list[_Job]) -> None:
         for job in jobs:
             if job.metadata is not None:
                 self._metadata[job.metadata[0]] = job.metadata[1]
         entries = [entry for job in jobs for entry in job.entries]
-        segment = self._segment_for_next()
+        entries.sort(key=lambda entry: entry.log_time)
+        segment = self._segment_for(entries)
         for job in jobs:
             if job.metadata is not None:
                 segment.append_metadata(*job.metadata)
@@ -167,14 +186,15 @@ class Writer:
                 self._inheritance.carry[entry.carry_topic or entry.topic] = dict(entry.carry)
         self._unsynced = [] if durable else self._unsynced + entries
 
-    def _segment_for_next(self) -> HotSegment:
+    def _segment_for(self, entries: list[Entry]) -> HotSegment:
         segment = self._segment
         if segment is None:
             self._segment = segment = self._open_next()
             if self._unsynced:
                 segment.append(self._unsynced, sync=False)
         age = self._clock.now().monotonic - self._opened_at
-        stepped_back = self._clock.now().utc < segment.last_log_time - _STEP
+        earliest = min([self._clock.now().utc, *(entry.log_time for entry in entries[:1])])
+        stepped_back = earliest < segment.last_log_time - _STEP
         if age >= self._limits.duration or segment.size >= self._limits.size or stepped_back:
             segment = self._rotate(segment)
         return segment
@@ -197,6 +217,7 @@ class Writer:
             STATE_METADATA: {"state": json.dumps(self._inheritance.carry)},
             **self._metadata,
         }
+        self._directory.restore()
         path = self._directory.hot / f"{number:08d}.mcap"
         segment = HotSegment(path, f"roclog {facts['version']}", self._channels, metadata)
         self._opened_at = self._clock.now().monotonic
@@ -210,7 +231,10 @@ class Writer:
                 segment.close()
             except OSError as error:
                 _log.warning("closing %s: %s", segment.path, error)
-            self._sealer.seal(segment.path)
+            if segment.is_empty:
+                segment.path.unlink(missing_ok=True)
+            else:
+                self._sealer.seal(segment.path)
 
     def _finish(self) -> None:
         segment, self._segment = self._segment, None
@@ -222,6 +246,7 @@ class Writer:
             self._directory.write_state_file(self._inheritance)
         except OSError as error:
             _log.error("closing %s: %s", segment.path, error)
+            self._failure = self._storage_error(error)
         self._sealer.seal(segment.path)
 
     def _storage_error(self, error: OSError) -> StorageError:
