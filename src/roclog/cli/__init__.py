@@ -97,7 +97,9 @@ class Commands(click.Group):
         except KeyboardInterrupt:
             ctx.exit(INTERRUPTED)
         except Exception as error:  # noqa: BLE001 - the last place where it can be reported
-            ctx.exit(report(error, debug=ctx.params["debug"]))
+            code = report(error, debug=ctx.params["debug"])
+            _give_up_on_stdout()
+            ctx.exit(code)
         return result
 
 
@@ -144,6 +146,14 @@ def _text(error: Exception) -> str:
 def _say(text: str) -> None:
     for line in text.splitlines() or [""]:
         click.echo(f"roclog: {line}", err=True)
+
+
+def _give_up_on_stdout() -> None:
+    """What cannot be written now would change the exit code when the interpreter ends."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _close_pipe()
 
 
 def _close_pipe() -> None:
