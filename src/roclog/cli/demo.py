@@ -96,7 +96,7 @@ def _progress(seconds: float) -> Iterator[Callable[[Session], None]]:
             bar.update(task, completed=elapsed, description=f"{count} samples on disk")
 
         yield show
-        bar.update(task, completed=seconds)
+        bar.update(task, completed=seconds, description="sealed")
 
 
 def _report(paths: Paths) -> bool:
