@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _LINK_PERIOD: Final = 60 * 10**9
 _PATIENCE: Final = 3
 """Failures in a row that are not yet held against a device."""
+_FACTS_PAUSE: Final = 60 * 10**9
 _LONGEST_PAUSE: Final = 30 * 10**9
 _ABSENT: Final = 60 * 10**9
 """After this long without an answer another device may stand there: the facts are read again."""
@@ -56,7 +57,8 @@ class PolledDevice:
         self._writer = writer
         self._clock = clock
         self._facts_due = True
-        self._facts_failed = False
+        self._facts_after = 0
+        self._facts_failures = 0
         self._trouble = ""
         self._failures = 0
         self._silent_since: int | None = None
@@ -110,9 +112,8 @@ class PolledDevice:
     async def _poll(self) -> None:
         """One attempt; a device that does not answer costs one time-out."""
         try:
-            if self._facts_due and not self._facts_failed:
+            if self._facts_due and self._clock.now().monotonic >= self._facts_after:
                 await self._read_facts()
-            self._facts_failed = False
             await self._block.turn()
         except DeviceError as error:
             self._tell_trouble(error)
@@ -121,14 +122,20 @@ class PolledDevice:
         self._watch(self._block.last)
 
     async def _read_facts(self) -> None:
-        """Identity and configuration; after a failure the next poll goes without them."""
-        self._facts_failed = True
+        """Identity and configuration; after a failure the next poll goes without them.
+
+        A device that answers samples but not these is asked for them once a minute.
+        """
+        self._facts_failures += 1
+        pause = _FACTS_PAUSE if self._facts_failures > _PATIENCE else 1.5 * self.device.poll
+        self._facts_after = self._clock.now().monotonic + int(pause)
         for block in self.device.profile.facts:
             try:
                 self.facts[block.name] = await self._read_fact(block)
             except ExceptionAnswer as refusal:
                 self.outbox.event("warning", "facts", f"{block.name} block: {refusal}")
         self._facts_due = False
+        self._facts_after = self._facts_failures = 0
         self._set_cycle()
         self._describe()
 
