@@ -168,8 +168,7 @@ class Writer:
         for job in jobs:
             if job.metadata is not None:
                 self._metadata[job.metadata[0]] = job.metadata[1]
-        entries = [entry for job in jobs for entry in job.entries]
-        entries.sort(key=lambda entry: entry.log_time)
+        entries = _in_order(jobs)
         segment = self._segment_for(entries)
         for job in jobs:
             if job.metadata is not None:
@@ -251,3 +250,18 @@ class Writer:
 
     def _storage_error(self, error: OSError) -> StorageError:
         return StorageError(self._directory.root, error.strerror or str(error))
+
+
+def _in_order(jobs: list[_Job]) -> list[Entry]:
+    """The messages of all jobs in order of time; those of one job never change places.
+
+    One device's messages must stay in the order of their numbers even where the wall clock was set
+    back between them: a later run takes up what the last one says.
+    """
+    timed: list[tuple[int, Entry]] = []
+    for job in jobs:
+        latest = 0
+        for entry in job.entries:
+            latest = max(latest, entry.log_time)
+            timed.append((latest, entry))
+    return [entry for _, entry in sorted(timed, key=lambda pair: pair[0])]
