@@ -107,8 +107,11 @@ class SplitCalendar:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """Words fetched in one request, never split and never merged.
+    """Words that belong together.
 
+    atomic: fetched in one request of their own. Otherwise a request may take in neighbours of the
+    same table and period, and a block that is larger than an answer is fetched by several.
+    period: nanoseconds from read to read; None = as the device is configured.
     must_not_increase: points whose values cannot grow from one to the next. With the ranges of the
     32-bit points this tells a wrong word order (one warning event, never a rewrite).
     """
@@ -122,6 +125,8 @@ class Block:
     time: SplitCalendar | None = None
     must_not_increase: tuple[str, ...] = ()
     title: str = ""
+    period: int | None = None
+    atomic: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
