@@ -44,8 +44,17 @@ class Bench:
     def now(self) -> Instant:
         return Instant(self.time, self.time)
 
+    def pause(self, nanoseconds: int) -> None:
+        self.time += nanoseconds
+
     async def transact(
-        self, unit: int, request: object, tally: Tally, *, not_after: int | None = None
+        self,
+        unit: int,
+        request: object,
+        tally: Tally,
+        *,
+        due: int = 0,
+        not_after: int | None = None,
     ) -> Answer:
         asked = self.now()
         if isinstance(request, WriteRegister):

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
-@dataclass(frozen=True, slots=True)
-class Instant:
+class Instant(NamedTuple):
     """One moment on both clocks, integer nanoseconds."""
 
     utc: int
@@ -22,9 +20,16 @@ class Clock(Protocol):
         """Both clocks, read one right after the other."""
         ...
 
+    def pause(self, nanoseconds: int) -> None:
+        """Hold this thread, event loop and all; for less than the loop's timers can tell apart."""
+        ...
+
 
 class SystemClock:
     """CLOCK_REALTIME and CLOCK_MONOTONIC of this host."""
 
     def now(self) -> Instant:
         return Instant(time.time_ns(), time.monotonic_ns())
+
+    def pause(self, nanoseconds: int) -> None:
+        time.sleep(nanoseconds / 1e9)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import TYPE_CHECKING, Final
 
+from roclog.bus.turns import Turns
 from roclog.clock import Instant
 from roclog.errors import (
     DeviceError,
@@ -29,6 +30,8 @@ from roclog.modbus.request import check_answer
 from roclog.modbus.rtu import Echo, RtuExchange
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from roclog.bus.link import Link
     from roclog.bus.tally import Tally
     from roclog.clock import Clock
@@ -41,6 +44,7 @@ _READS: Final = frozenset({1, 2, 3, 4})
 _WRITE_REGISTER: Final = 6
 _SPOILED: Final = 50_000_000
 """Nanoseconds of silence after a damaged answer; longer than any adapter holds octets back."""
+_TIMER_STEP: Final = 1_000_000
 _FIRST_RETRY: Final = 100_000_000
 _LAST_RETRY: Final = 2_000_000_000
 """Nanoseconds between attempts to open a link: doubling until an answer comes over it."""
@@ -112,7 +116,7 @@ class Bus:
         self.echo = Echo.UNKNOWN
         self._clock = clock
         self._permitted = permitted
-        self._turn = asyncio.Lock()
+        self._turns = Turns()
         self._opened = False
         self._trouble = ""
         self._retry_after = 0
@@ -125,12 +129,21 @@ class Bus:
         self._exchange: Exchange | None = None
         self._waiter: asyncio.Future[Heard] | None = None
         self._stray = self._stale = self._losses = 0
+        self._timed_out = False
+        self._alarm: asyncio.TimerHandle
 
     async def transact(
-        self, unit: int, request: Request, tally: Tally, *, not_after: int | None = None
+        self,
+        unit: int,
+        request: Request,
+        tally: Tally,
+        *,
+        due: int = 0,
+        not_after: int | None = None,
     ) -> Answer:
         """Send one request when its turn comes and return its checked answer.
 
+        due: monotonic nanoseconds; of those who wait the one due first is next.
         not_after: monotonic nanoseconds; if the turn comes later, nothing is sent.
 
         Raises:
@@ -138,15 +151,18 @@ class Bus:
             TooLate, LinkDown, NoAnswer, WrongAnswer, ExceptionAnswer.
         """
         self._check_permitted(unit, request.pdu)
-        async with self._turn:
-            try:
-                await self._ensure_open()
+        await self._turns.take(due)
+        try:
+            if not self._opened:
+                await self._open()
+            if self.timing.framing is Framing.RTU:
                 await self._wait_for_line()
-                if not_after is not None and self._now() > not_after:
-                    raise TooLate(f"{self.link.name} was busy")
-                return await self._exchange_once(unit, request, tally)
-            finally:
-                self._settle(tally)
+            if not_after is not None and self._now() > not_after:
+                raise TooLate(f"{self.link.name} was busy")
+            return await self._exchange_once(unit, request, tally)
+        finally:
+            self._settle(tally)
+            self._turns.release()
 
     def close(self) -> None:
         """Close the link; a later transaction opens it again."""
@@ -171,9 +187,7 @@ class Bus:
             f"{self.link.name} unit {unit}: {what} is not the profile's acknowledgement"
         )
 
-    async def _ensure_open(self) -> None:
-        if self._opened:
-            return
+    async def _open(self) -> None:
         if self._now() < self._retry_after:
             raise LinkDown(f"{self.link.name} is not open, next attempt soon: {self._trouble}")
         self.echo = Echo.UNKNOWN
@@ -202,8 +216,12 @@ class Bus:
             raise LinkDown(f"{self.link.name} was lost: {self._trouble}")
 
     async def _sleep_until(self, instant: int) -> None:
-        while (left := instant - self._now()) > 0:  # noqa: ASYNC110 - an instant, not an event
-            await asyncio.sleep(left / 1e9)
+        """The loop's timers tell milliseconds apart, and round up: a third of the silence."""
+        while (left := instant - self._now()) > 0:
+            if left > _TIMER_STEP:
+                await asyncio.sleep((left - _TIMER_STEP) / 1e9)
+            else:
+                self._clock.pause(left)
 
     async def _exchange_once(self, unit: int, request: Request, tally: Tally) -> Answer:
         exchange = self._new_exchange(unit, request)
@@ -223,7 +241,7 @@ class Bus:
             raise LinkDown(f"{self.link.name}: {_reason(error)}") from error
         tally.requests += 1
         try:
-            pdu, read = await self._wait_for_answer(exchange, waiter, sent, tally)
+            pdu, read = await self._wait_for_answer(waiter, sent, tally)
             check_answer(request, pdu)
         except ExceptionAnswer as refusal:
             tally.count_exception(refusal.code)
@@ -239,26 +257,40 @@ class Bus:
         return Answer(pdu, asked, read)
 
     async def _wait_for_answer(
-        self, exchange: Exchange, waiter: asyncio.Future[Heard], sent: int, tally: Tally
+        self, waiter: asyncio.Future[Heard], sent: int, tally: Tally
     ) -> Heard:
-        if await self._wait(waiter, sent + self.timing.timeout):
-            return waiter.result()
-        tally.timeouts += 1
-        if isinstance(exchange, RtuExchange):
-            heard = None
-            if await self._wait(waiter, self._owed_until):
-                heard = waiter.result()
-            elif (pdu := exchange.conclude()) is not None:
-                heard = pdu, self._last_heard
-            if heard is not None:
-                tally.late_answers += 1
-                return heard
-        raise NoAnswer(f"{self.link.name}: no answer within {self.timing.timeout / 1e6:g} ms")
+        self._timed_out = False
+        self._set_alarm(sent + self.timing.timeout, self._time_out)
+        try:
+            heard = await waiter
+        finally:
+            self._alarm.cancel()
+            tally.timeouts += self._timed_out
+        tally.late_answers += self._timed_out
+        return heard
 
-    async def _wait(self, waiter: asyncio.Future[Heard], deadline: int) -> bool:
-        while not waiter.done() and (left := deadline - self._now()) > 0:
-            await asyncio.wait((waiter,), timeout=left / 1e9)
-        return waiter.done()
+    def _set_alarm(self, instant: int, action: Callable[[], None]) -> None:
+        left = (instant - self._now()) / 1e9
+        self._alarm = asyncio.get_running_loop().call_later(left, action)
+
+    def _time_out(self) -> None:
+        """No answer in time; where it carries no number it is waited for all the same."""
+        self._timed_out = True
+        if self._owed_until > self._now():
+            self._set_alarm(self._owed_until, self._end_wait)
+        else:
+            self._end_wait()
+
+    def _end_wait(self) -> None:
+        waiter, exchange = self._waiter, self._exchange
+        if waiter is None or waiter.done():
+            return
+        pdu = exchange.conclude() if isinstance(exchange, RtuExchange) else None
+        if pdu is not None:
+            waiter.set_result((pdu, self._last_heard))
+        else:
+            limit = f"{self.timing.timeout / 1e6:g} ms"
+            waiter.set_exception(NoAnswer(f"{self.link.name}: no answer within {limit}"))
 
     def _new_exchange(self, unit: int, request: Request) -> Exchange:
         if self.timing.framing is Framing.RTU:

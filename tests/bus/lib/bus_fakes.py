@@ -68,6 +68,11 @@ class VirtualClock:
         assert isinstance(loop, VirtualLoop)
         return Instant(UTC_OFFSET + loop.nanoseconds, loop.nanoseconds)
 
+    def pause(self, nanoseconds: int) -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.nanoseconds += nanoseconds
+
 
 def run(main: Coroutine[Any, Any, None]) -> None:
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:

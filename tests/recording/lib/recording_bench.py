@@ -41,6 +41,9 @@ class ManualClock:
     def now(self) -> Instant:
         return Instant(self.utc, self.monotonic)
 
+    def pause(self, nanoseconds: int) -> None:
+        self.advance(nanoseconds)
+
     def advance(self, nanoseconds: int) -> None:
         self.utc += nanoseconds
         self.monotonic += nanoseconds
