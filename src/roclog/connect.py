@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from roclog.bus.bus import Bus, Framing, Timing
+from roclog.bus.serial_driver import Rs485
 from roclog.bus.serial_port import SerialLink
 from roclog.bus.tcp import TcpLink
 from roclog.bus.udp import UdpLink
+from roclog.register_map import FlagAndClear
 
 if TYPE_CHECKING:
     from roclog.bus.link import Link
@@ -36,7 +38,7 @@ def make_bus(connection: Connection, devices: list[Device], clock: Clock) -> Bus
         for device in devices
         if device.acknowledge
         for block in device.profile.samples
-        if block.trigger is not None
+        if isinstance(block.trigger, FlagAndClear)
     )
     return Bus(_make_link(connection), timing, clock, permitted, len(devices))
 
@@ -49,6 +51,21 @@ def _make_link(connection: Connection) -> Link:
             connection.bytesize,
             connection.parity,
             connection.stopbits,
+            low_latency=connection.low_latency,
+            rs485=_direction_control(connection),
         )
     kind = UdpLink if connection.transport == "udp" else TcpLink
     return kind(connection.host, int(connection.port))
+
+
+def _direction_control(connection: Connection) -> Rs485 | None:
+    """As drivers take it: in milliseconds."""
+    wanted = connection.rs485
+    if wanted is None:
+        return None
+    return Rs485(
+        rts_on_send=wanted.rts_on_send,
+        rts_after_send=wanted.rts_after_send,
+        delay_before_send=wanted.delay_before_send // 10**6,
+        delay_after_send=wanted.delay_after_send // 10**6,
+    )

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _MOST: Final = 1000
 """Messages kept while the disk takes none; then the oldest samples are given up, and counted."""
+_GATHER_SECONDS: Final = 0.25
 
 
 class Recorder(Protocol):
@@ -30,28 +31,56 @@ class Recorder(Protocol):
 
 
 class Outbox:
-    """Messages of one device. ``add`` what must be durable, then ``flush``."""
+    """Messages of one device. ``add`` what must be durable, then ``flush`` or ``flush_soon``.
 
-    def __init__(self, device: str, recorder: Recorder, clock: Clock) -> None:
+    group: commits for all devices together what none of them waits for.
+    """
+
+    def __init__(
+        self, device: str, recorder: Recorder, clock: Clock, group: CommitGroup | None = None
+    ) -> None:
         self._device = device
         self._recorder = recorder
         self._clock = clock
+        self._group = group
         self._waiting: list[Entry] = []
+        self._in_flight: list[Entry] = []
         self._given_up: tuple[int, int, int] | None = None
         self._failing = False
 
     @property
     def empty(self) -> bool:
         """Everything added so far is on disk; only then may a device forget."""
-        return not self._waiting
+        return not self._waiting and not self._in_flight
 
     def add(self, entry: Entry) -> None:
         self._waiting.append(entry)
         if len(self._waiting) > _MOST:
-            samples = (n for n, waiting in enumerate(self._waiting) if waiting.carry is not None)
-            oldest = self._waiting.pop(next(samples, 0))
-            first, count = self._given_up[0::2] if self._given_up else (oldest.log_time, 0)
-            self._given_up = (first, oldest.log_time, count + 1)
+            self._give_up_oldest()
+
+    def take(self) -> list[Entry]:
+        """What waits, to be committed; ``settle`` says how that went."""
+        self._in_flight, self._waiting = self._waiting, []
+        return self._in_flight
+
+    def settle(self, failure: StorageError | None) -> None:
+        """What was taken is on disk, or waits again; one event when the disk begins to fail."""
+        if failure is not None:
+            self.put_back()
+        self._in_flight = []
+        if failure is not None and not self._failing:
+            self._failing = True
+            self.event("error", "storage", f"not recording, nothing is cleared: {failure}")
+        elif failure is None and self._failing:
+            self._failing = False
+            self.event("info", "storage", "recording again")
+
+    def put_back(self) -> None:
+        """Nobody knows whether the disk has what was taken; readers drop a second copy."""
+        self._waiting = self._in_flight + self._waiting
+        self._in_flight = []
+        while len(self._waiting) > _MOST:
+            self._give_up_oldest()
 
     def take_given_up(self) -> tuple[int, int, int] | None:
         """First and last log_time and number of samples that were read but could not be kept.
@@ -79,21 +108,67 @@ class Outbox:
 
     async def flush(self) -> bool:
         """Commit what waits; False (and an event, once) when the disk does not take it."""
-        if not self._waiting:
-            return True
-        batch = tuple(self._waiting)
+        return not self._waiting or await _commit(self._recorder, [self])
+
+    def flush_soon(self) -> None:
+        """Have what waits committed with that of other devices, within a quarter of a second."""
+        if self._group is not None:
+            self._group.ask(self)
+
+    def _give_up_oldest(self) -> None:
+        samples = (n for n, waiting in enumerate(self._waiting) if waiting.carry is not None)
+        oldest = self._waiting.pop(next(samples, 0))
+        first, count = self._given_up[0::2] if self._given_up else (oldest.log_time, 0)
+        self._given_up = (first, oldest.log_time, count + 1)
+
+
+class CommitGroup:
+    """One commit for everything that devices wanted kept in the last quarter of a second.
+
+    A device that holds its sample until it is told to forget it commits by itself, at once.
+    """
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+        self._asking: dict[Outbox, None] = {}
+        self._task: asyncio.Task[None] | None = None
+
+    def ask(self, outbox: Outbox) -> None:
+        """Commit ``outbox`` with the next lot."""
+        self._asking[outbox] = None
+        if self._task is None:
+            self._task = asyncio.get_running_loop().create_task(self._commit_soon())
+
+    async def finish(self) -> None:
+        """Commit what is left; return when nothing is under way any more."""
+        while self._task is not None:
+            await self._task
+
+    async def _commit_soon(self) -> None:
+        await asyncio.sleep(_GATHER_SECONDS)
+        asking, self._asking = list(self._asking), {}
         try:
-            await asyncio.wrap_future(self._recorder.commit(batch))
-        except StorageError as error:
-            if not self._failing:
-                self._failing = True
-                self.event("error", "storage", f"not recording, nothing is cleared: {error}")
-            return False
-        del self._waiting[: len(batch)]
-        if self._failing:
-            self._failing = False
-            self.event("info", "storage", "recording again")
-        return True
+            await _commit(self._recorder, asking)
+        finally:
+            self._task = None
+        if self._asking:
+            self._task = asyncio.get_running_loop().create_task(self._commit_soon())
+
+
+async def _commit(recorder: Recorder, outboxes: Sequence[Outbox]) -> bool:
+    failure = None
+    try:
+        batch = [entry for outbox in outboxes for entry in outbox.take()]
+        await asyncio.wrap_future(recorder.commit(batch))
+    except StorageError as error:
+        failure = error
+    except BaseException:
+        for outbox in outboxes:
+            outbox.put_back()
+        raise
+    for outbox in outboxes:
+        outbox.settle(failure)
+    return failure is None
 
 
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

@@ -10,7 +10,8 @@ from roclog.bus.tally import Tally
 from roclog.connect import make_bus
 from roclog.decode import Decoded, decode
 from roclog.errors import DeviceError
-from roclog.modbus.request import ReadRegisters, words
+from roclog.modbus.request import words
+from roclog.polling.request_plan import read_request
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
@@ -78,9 +79,8 @@ async def _probe_connection(
 
 
 async def _read(bus: Bus, device: Device, block: Block) -> BlockRead:
-    request = ReadRegisters(block.table.read_function, block.address, block.count)
     try:
-        answer = await bus.transact(device.unit, request, Tally())
+        answer = await bus.transact(device.unit, read_request(block), Tally())
     except DeviceError as error:
         return BlockRead(block, (), None, str(error))
     registers = words(answer.pdu)

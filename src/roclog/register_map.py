@@ -1,7 +1,8 @@
 """The words a device is described in. A register map is data: everything else follows from it.
 
 Addresses are PDU addresses, counted from 0 (Application Protocol V1.1b3, section 4.4). Offsets
-count registers (words of 16 bits) from the address of their block.
+count registers (words of 16 bits) from the address of their block, or bits in a block of coils or
+discrete inputs.
 """
 
 from __future__ import annotations
@@ -13,21 +14,42 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from decimal import Decimal
 
+MODBUS_PORT: Final = 502
+"""TCP and UDP; Messaging on TCP/IP V1.0b, section 3.1.1 (registered with IANA)."""
 MAX_READ_REGISTERS: Final = 125
 """V1.1b3, section 6.3."""
+MAX_READ_BITS: Final = 2000
+"""V1.1b3, section 6.1."""
+MAX_BLOCK: Final = 8000
+"""Registers or bits of a block that several requests fetch; its octets fit one sample."""
 MAX_RANGED_POINTS: Final = 64
-"""The doubtful mask of a sample has one bit for each of the first 64 points of its block."""
+"""The masks of a sample have one bit for each of the first 64 points of its block."""
 
 
 class Table(StrEnum):
-    """The tables of V1.1b3 section 4.3 that hold words."""
+    """The tables of V1.1b3 section 4.3."""
 
+    COILS = "coils"
+    DISCRETE_INPUTS = "discrete_inputs"
     INPUT_REGISTERS = "input_registers"
     HOLDING_REGISTERS = "holding_registers"
 
     @property
     def read_function(self) -> int:
-        return {"input_registers": 4, "holding_registers": 3}[self.value]
+        return _READ_FUNCTIONS[self.value]
+
+    @property
+    def has_bits(self) -> bool:
+        """Whether it holds single bits, not words."""
+        return self.read_function < 3
+
+
+_READ_FUNCTIONS: Final = {
+    "coils": 1,
+    "discrete_inputs": 2,
+    "holding_registers": 3,
+    "input_registers": 4,
+}
 
 
 class WordType(StrEnum):
@@ -36,29 +58,94 @@ class WordType(StrEnum):
     U16 = "uint16"
     S16 = "int16"
     U32 = "uint32"
+    S32 = "int32"
+    U64 = "uint64"
+    S64 = "int64"
+    F32 = "float32"
+    """IEEE 754 binary32."""
+    F64 = "float64"
+    """IEEE 754 binary64."""
+    BCD16 = "bcd16"
+    """Four decimal digits, the most significant in the uppermost four bits."""
+    BCD32 = "bcd32"
+    BCD64 = "bcd64"
     MINUTES_SECONDS = "minutes_seconds"
     """One word, minutes in the upper octet, seconds in the lower; the value is in seconds."""
     MONTH_DAY = "month_day"
     """One word, month in the upper octet, day in the lower; the value is month * 100 + day."""
     TEXT = "text"
     """Two characters in a word, upper octet first; the first 0x00 ends it."""
+    BIT = "bit"
+    """One coil or discrete input."""
+
+    @property
+    def words(self) -> int:
+        """Registers of a value; of text the point says it."""
+        return {"32": 2, "64": 4}.get(self.value[-2:], 1)
+
+    @property
+    def is_float(self) -> bool:
+        return self in (WordType.F32, WordType.F64)
+
+    @property
+    def is_integer(self) -> bool:
+        """Whether the value is a binary integer, signed or not."""
+        return self.value.removeprefix("u").startswith("int")
+
+    @property
+    def is_bcd(self) -> bool:
+        return self.value.startswith("bcd")
 
 
 class WordOrder(StrEnum):
-    """Order of the two words of a 32-bit value, named by example octets: 0x41424344 = ABCD."""
+    """Order of the octets of a value, named by example: where 0x41424344 is found as what.
+
+    The first and third letter name upper octets of registers. The same pattern holds for 64 bits:
+    ABCD is most significant first, CDAB has the four words reversed, BADC the octets of each word,
+    DCBA both. In one register, and in text, only the octets can be swapped: BADC and DCBA do.
+    """
 
     ABCD = "ABCD"
     CDAB = "CDAB"
+    BADC = "BADC"
+    DCBA = "DCBA"
+
+    @property
+    def words_reversed(self) -> bool:
+        return self in (WordOrder.CDAB, WordOrder.DCBA)
+
+    @property
+    def octets_swapped(self) -> bool:
+        return self in (WordOrder.BADC, WordOrder.DCBA)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValidWhen:
+    """A measurement counts only while another field of its block has one of these values.
+
+    point: an unscaled integer point, one of its named bits (0 or 1), one of its parts, or a bit.
+    """
+
+    point: str
+    values: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
     """One value of a block.
 
-    scale: the value is the integer times this; kept as Decimal so that 57 * 0.01 is 0.57 exactly.
+    offset: registers from the address of the block; in a block of bits, bits.
+    scale, add: the value is the number in the device times ``scale`` plus ``add``; kept as Decimal
+    so that 57 * 0.01 is 0.57 exactly.
+    word_order: of this point, whatever the device's is; None = the device's, which holds for values
+    of more than one register.
+    unit: UCUM.
     low, high: the range that the device's document gives, in the unit of the value, inclusive.
+    sentinels: numbers in the device, before scale and add, that say why there is no measurement.
+    valid_when: otherwise the measurement is missing.
     meanings: what single values mean, for people (tables, documentation); the value stays a number.
     bits: name of each meaningful bit by number, 0 = least significant; one boolean field each.
+    parts: (lowest bit, bits, name) of numbers that share the word; one unsigned field each.
     """
 
     name: str
@@ -72,13 +159,31 @@ class Point:
     meanings: tuple[tuple[int, str], ...] = ()
     bits: tuple[tuple[int, str], ...] = ()
     title: str = ""
+    add: Decimal | None = None
+    word_order: WordOrder | None = None
+    sentinels: tuple[tuple[Decimal, str], ...] = ()
+    valid_when: ValidWhen | None = None
+    parts: tuple[tuple[int, int, str], ...] = ()
 
     @property
     def size(self) -> int:
         """Words of this point."""
-        if self.type is WordType.TEXT:
-            return self.words
-        return 2 if self.type is WordType.U32 else 1
+        return self.words if self.type is WordType.TEXT else self.type.words
+
+    @property
+    def is_scaled(self) -> bool:
+        return self.scale is not None or self.add is not None
+
+    @property
+    def can_be_missing(self) -> bool:
+        """Whether a sample can say that there is no measurement; a device's own NaN is a value."""
+        return bool(self.sentinels) or self.valid_when is not None or self.type.is_bcd
+
+    @property
+    def field_names(self) -> tuple[str, ...]:
+        """The point, its named bits, its parts."""
+        bits = (name for _, name in self.bits)
+        return (self.name, *bits, *(name for _, _, name in self.parts))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,13 +201,136 @@ class FlagAndClear:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SplitCalendar:
-    """Device time in four words: year, month/day, hour, minute/second; all zero means no time."""
+class ClearOnRead:
+    """The device lowers its own flag when the block is read: each sample can be read only once.
 
-    year: int
-    month_day: int
-    hour: int
-    minute_second: int
+    A read that goes unanswered may have taken a sample with it, and there is no second read that
+    could confirm the first.
+
+    table, address: the word with the flag. In the block itself it is judged from the block's read;
+    elsewhere it is read first, and the block only where there is something new.
+    mask, new: the flag is up where word AND ``mask`` is ``new``.
+    """
+
+    table: Table
+    address: int
+    mask: int = 0xFFFF
+    new: int = 1
+
+    def offset_in(self, block: Block) -> int | None:
+        """Where the flag lies in the block; None = elsewhere."""
+        inside = self.table is block.table and 0 <= self.address - block.address < block.count
+        return self.address - block.address if inside else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Counter:
+    """A point that grows by one for each sample: another number is another sample.
+
+    point: an unscaled unsigned integer.
+    first: what follows ``last``. last: the largest number; None = all bits of the point set.
+    """
+
+    point: str
+    first: int = 0
+    last: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """Another payload is another sample. payload: (first offset, words); empty = the whole block.
+
+    Two equal samples in a row cannot be told apart.
+    """
+
+    payload: tuple[tuple[int, int], ...] = ()
+
+
+Trigger = FlagAndClear | ClearOnRead | Counter | Change
+"""When a read of a block is a sample; None, where it stands for a trigger: every read is one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SplitCalendar:
+    """Device time in calendar words, UTC; all of them zero means no time.
+
+    Each is an offset. A name of two parts is one word with the first in its upper octet and the
+    second in its lower. millisecond: of the second. millisecond_of_minute: 0 to 59999, seconds
+    included. Year, month, day and hour must be given, each once; what else is not there is 0.
+    year_base: added to the year, like 2000 where it has two digits.
+    """
+
+    year: int | None = None
+    month_day: int | None = None
+    hour: int | None = None
+    minute_second: int | None = None
+    month: int | None = None
+    day: int | None = None
+    minute: int | None = None
+    second: int | None = None
+    millisecond: int | None = None
+    millisecond_of_minute: int | None = None
+    year_month: int | None = None
+    day_hour: int | None = None
+    hour_minute: int | None = None
+    year_base: int = 0
+
+    @property
+    def words(self) -> tuple[tuple[str, int], ...]:
+        """(name, offset) of the words that are given, in the order of the calendar."""
+        names = (
+            "year year_month month month_day day day_hour hour hour_minute "
+            "minute minute_second second millisecond_of_minute millisecond"
+        )
+        given = ((name, getattr(self, name)) for name in names.split())
+        return tuple((name, offset) for name, offset in given if offset is not None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnixSeconds:
+    """Unsigned seconds since an epoch in two registers; zero means no time.
+
+    epoch: seconds since 1970 at which the device counts 0, like 946684800 for the year 2000.
+    """
+
+    offset: int
+    word_order: WordOrder | None = None
+    epoch: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SecondsMicroseconds:
+    """Two unsigned 32-bit numbers: seconds since 1970, and microseconds; both zero = no time.
+
+    seconds, microseconds: offsets of the two; which comes first in the block differs by device.
+    """
+
+    seconds: int
+    microseconds: int
+    word_order: WordOrder | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cp56:
+    """IEC 60870-5-4 CP56Time2a: seven octets in four registers, the last octet unused.
+
+    word_order: octets follow each other upper octet first; BADC has the lower octet first.
+    """
+
+    offset: int
+    word_order: WordOrder | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cp32:
+    """CP32Time2a: four octets in two registers, as Cp56; the date comes from the host's clock."""
+
+    offset: int
+    word_order: WordOrder | None = None
+
+
+TimeSource = SplitCalendar | UnixSeconds | SecondsMicroseconds | Cp56 | Cp32
+"""Where the device's time of a sample lies in its block; None = the host's time is all there is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +340,7 @@ class Block:
     atomic: fetched in one request of their own. Otherwise a request may take in neighbours of the
     same table and period, and a block that is larger than an answer is fetched by several.
     period: nanoseconds from read to read; None = as the device is configured.
+    message: name of the message type where it is not that of the block, in the same words.
     must_not_increase: points whose values cannot grow from one to the next. With the ranges of the
     32-bit points this tells a wrong word order (one warning event, never a rewrite).
     """
@@ -121,12 +350,28 @@ class Block:
     address: int
     count: int
     points: tuple[Point, ...]
-    trigger: FlagAndClear | None = None
-    time: SplitCalendar | None = None
+    trigger: Trigger | None = None
+    time: TimeSource | None = None
     must_not_increase: tuple[str, ...] = ()
     title: str = ""
     period: int | None = None
     atomic: bool = True
+    message: str = ""
+
+    @property
+    def handshake(self) -> FlagAndClear | None:
+        """The trigger where it is a flag that the client clears."""
+        return self.trigger if isinstance(self.trigger, FlagAndClear) else None
+
+    @property
+    def octets(self) -> int:
+        """Size of the block as on the wire: two octets a register, eight bits an octet."""
+        return (self.count + 7) // 8 if self.table.has_bits else 2 * self.count
+
+    @property
+    def can_miss(self) -> bool:
+        """Whether its samples have a ``missing`` mask."""
+        return any(point.can_be_missing for point in self.points)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,11 +402,18 @@ class RegisterMap:
     samples: tuple[Block, ...]
     facts: tuple[Block, ...] = ()
     cycle: tuple[str, tuple[str, ...]] | None = None
+    port: int = MODBUS_PORT
     notes: tuple[str, ...] = field(default=())
 
     @property
     def blocks(self) -> tuple[Block, ...]:
         return self.facts + self.samples
+
+    @property
+    def flagged(self) -> Block | None:
+        """The block with a flag to clear; a map has at most one."""
+        flagged = (b for b in self.samples if isinstance(b.trigger, FlagAndClear))
+        return next(flagged, None)
 
     def block(self, name: str) -> Block:
         """Raises KeyError where the map has no such block."""

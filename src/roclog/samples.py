@@ -6,11 +6,14 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from roclog.decode import Decoded, decode
+from roclog.decode import Decoded, Value, decode, named_values, word_order_doubts
 from roclog.recording.entries import Entry
-from roclog.schema import CLEAR, GAP, LINK, ClearResult, Reason, sample_type
+from roclog.schema import CLEAR, GAP, LINK, ClearResult, Origin, Reason, sample_type
+from roclog.word_types import block_octets, block_words
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from roclog.bus.tally import Tally
     from roclog.clock import Instant
     from roclog.handshake import Memory, News
@@ -49,20 +52,51 @@ class SampleMaker:
         self.epoch = epoch
         self.topic = f"/{device}/{block.name}"
         self.kind = sample_type(profile, block)
+        self._can_miss = block.can_miss
         self._device = device
-        self._order = order
+        self.order = order
 
     def decode(self, reading: Reading) -> Decoded:
-        return decode(self.block, reading.words, self._order)
+        return decode(self.block, reading.words, self.order, reading.read.utc)
+
+    def values(self, reading: Reading) -> dict[str, Value | None]:
+        """The fields of the block by name; None where the measurement is missing."""
+        return named_values(self.block, self.decode(reading))
+
+    def doubts(self, reading: Reading) -> list[str]:
+        """What speaks against the word order."""
+        return word_order_doubts(self.block, reading.words, self.order)
+
+    @property
+    def size(self) -> int:
+        """Octets of the block in an answer."""
+        return self.block.octets
+
+    def words(self, octets: bytes) -> tuple[int, ...]:
+        """The words of the block from its octets as on the wire."""
+        return block_words(self.block, octets)
 
     def sample(self, news: News, reading: Reading, memory: Memory) -> Entry:
-        """The message of a sample. ``memory`` is what holds once it is on disk."""
+        """The message of a flagged sample. ``memory`` is what holds once it is on disk."""
+        carry = self.carry(memory, reading.known_until)
+        return self.message(reading, news.seq, news.origin, carry, redelivered=news.redelivered)
+
+    def message(
+        self,
+        reading: Reading,
+        seq: int,
+        origin: Origin,
+        carry: Mapping[str, object],
+        *,
+        redelivered: bool = False,
+    ) -> Entry:
+        """The message of a sample. ``carry`` is what the next run must know once it is on disk."""
         decoded = self.decode(reading)
         values = (
-            news.seq,
+            seq,
             self.epoch,
-            news.origin,
-            news.redelivered,
+            origin,
+            redelivered,
             reading.asked.utc,
             reading.read.utc,
             reading.read.monotonic,
@@ -70,16 +104,17 @@ class SampleMaker:
             decoded.device_time,
             decoded.time_flags,
             decoded.doubtful,
-            reading.raw,
+            block_octets(self.block, reading.words),
+            *((decoded.missing,) if self._can_miss else ()),
             *decoded.values,
         )
         return Entry(
             topic=self.topic,
             log_time=reading.read.utc,
             publish_time=decoded.device_time or reading.read.utc,
-            sequence=news.seq,
+            sequence=seq,
             data=self.kind.pack(iter(values)),
-            carry=self.carry(memory, reading.known_until),
+            carry=carry,
         )
 
     def carry(self, memory: Memory, read_at: int) -> dict[str, object]:
@@ -156,5 +191,11 @@ def link_entry(device: str, since: Instant, now: Instant, tally: Tally) -> Entry
         tally.busy / elapsed,
         *by_code,
         sum(tally.exceptions.values()) - sum(by_code),
+        tally.polls,
+        tally.skipped,
+        tally.frame_errors,
+        tally.parity_errors,
+        tally.overruns,
+        tally.breaks,
     )
     return Entry(f"/{device}/link", now.utc, now.utc, 0, LINK.pack(iter(values)))

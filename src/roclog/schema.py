@@ -39,6 +39,7 @@ class Kind(Enum):
     """Fixed-width field kinds: protobuf type, wire type, struct format."""
 
     DOUBLE = (_Proto.TYPE_DOUBLE, 1, "d")
+    FLOAT = (_Proto.TYPE_FLOAT, 5, "f")
     UINT64 = (_Proto.TYPE_FIXED64, 1, "Q")
     INT64 = (_Proto.TYPE_SFIXED64, 1, "q")
     UINT32 = (_Proto.TYPE_FIXED32, 5, "I")
@@ -76,12 +77,26 @@ SIGNATURE: Final = (
 )
 """The fields every sample has before its raw octets; DESIGN.md says what each means."""
 RAW_NUMBER: Final = 12
+MISSING: Final = Field("missing", 13, Kind.UINT64)
+"""Behind ``raw``, in types some of whose points can be missing: bit n is set where point n is no
+measurement. A missing float is NaN as well; an integer then says nothing."""
 
 
 def _kind(point: Point) -> Kind:
-    if point.scale is not None:
-        return Kind.DOUBLE
-    return Kind.INT32 if point.type is WordType.S16 else Kind.UINT32
+    return Kind.DOUBLE if point.is_scaled else _KINDS.get(point.type, Kind.UINT32)
+
+
+_KINDS: Final = {
+    WordType.S16: Kind.INT32,
+    WordType.S32: Kind.INT32,
+    WordType.S64: Kind.INT64,
+    WordType.U64: Kind.UINT64,
+    WordType.BCD64: Kind.UINT64,
+    WordType.F32: Kind.FLOAT,
+    WordType.F64: Kind.DOUBLE,
+    WordType.BIT: Kind.BOOL,
+}
+"""Every other type fits 32 bits."""
 
 
 def block_fields(block: Block) -> tuple[Field, ...]:
@@ -90,6 +105,7 @@ def block_fields(block: Block) -> tuple[Field, ...]:
     for point in block.points:
         kinds.append((point.name, _kind(point), point.unit))
         kinds += [(name, Kind.BOOL, "") for _, name in point.bits]
+        kinds += [(name, Kind.UINT32, "") for _, _, name in point.parts]
     return tuple(
         Field(name, number, kind, unit)
         for number, (name, kind, unit) in enumerate(kinds, start=_FIRST_POINT)
@@ -198,6 +214,8 @@ class Reason(IntEnum):
     """The sample was read, but the disk did not take it in time."""
     UNGUARDED_CLEAR = 4
     """An expected sample did not show: it may have been identical and lost its flag to a clear."""
+    UNREAD = 5
+    """A block that is read on schedule was not: no answer, or the connection was too busy."""
 
 
 class ClearResult(IntEnum):
@@ -257,6 +275,12 @@ LINK: Final = MessageType(
         Field("bus_load", 13, Kind.DOUBLE, "1"),
         *(Field(f"exception_{code}", 16 + code, Kind.UINT64) for code in _EXCEPTIONS),
         Field("exception_other", 32, Kind.UINT64),
+        Field("polls", 33, Kind.UINT64),
+        Field("skipped", 34, Kind.UINT64),
+        Field("frame_errors", 35, Kind.UINT64),
+        Field("parity_errors", 36, Kind.UINT64),
+        Field("overruns", 37, Kind.UINT64),
+        Field("breaks", 38, Kind.UINT64),
     ),
 )
 """What happened on the wire between ``from`` and ``to`` for one device."""
@@ -264,9 +288,10 @@ LINK: Final = MessageType(
 
 def sample_type(profile: str, block: Block) -> MessageType:
     """Message type of a block's samples; ``raw`` holds the registers as on the wire."""
-    name = f"roclog.{profile.replace('-', '_')}.{camel_case(block.name)}"
-    raw = Field("raw", RAW_NUMBER, Kind.OCTETS, size=2 * block.count)
-    return MessageType(name, (*SIGNATURE, raw, *block_fields(block)))
+    name = f"roclog.{profile.replace('-', '_')}.{camel_case(block.message or block.name)}"
+    raw = Field("raw", RAW_NUMBER, Kind.OCTETS, size=block.octets)
+    missing = (MISSING,) if block.can_miss else ()
+    return MessageType(name, (*SIGNATURE, raw, *missing, *block_fields(block)))
 
 
 _SIGNATURE_TYPE: Final = MessageType("roclog.Signature", SIGNATURE)

@@ -10,32 +10,30 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
-from roclog.bus.tally import Tally
 from roclog.connect import make_bus
-from roclog.handshake import Memory, recover
-from roclog.outbox import Outbox
-from roclog.poll import FlaggedBlock
-from roclog.polled_device import PolledDevice
+from roclog.outbox import CommitGroup
+from roclog.polling.assembly import Assembly
 from roclog.recording.directory import Directory, Inheritance
 from roclog.recording.entries import LOG_CHANNEL, block_channel, log_entry, plain_channel
 from roclog.recording.retention import Retention
 from roclog.recording.sealer import Sealer
 from roclog.recording.writer import Limits, Writer
+from roclog.register_map import FlagAndClear
 from roclog.samples import SampleMaker
 from roclog.schema import CLEAR, GAP, LINK
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from roclog.bus.bus import Bus
     from roclog.clock import Clock
-    from roclog.config.settings import Device, Settings
+    from roclog.config.settings import Settings
+    from roclog.polling.device import PolledDevice
     from roclog.recording.entries import ChannelInfo
-    from roclog.register_map import Block
 
 _log = logging.getLogger("roclog")
 _CLOCK_STEP: Final = 500_000_000
 _CLOCK_WATCH_SECONDS: Final = 1.0
+_SPREAD: Final = 10**9
+"""Nanoseconds over which the first polls of the devices are spread."""
 
 
 def channels(settings: Settings) -> list[ChannelInfo]:
@@ -46,7 +44,7 @@ def channels(settings: Settings) -> list[ChannelInfo]:
         for block in device.profile.samples:
             maker = SampleMaker(device.name, profile, block, device.word_order, b"")
             found.append(block_channel(device.name, profile, block, maker.kind))
-            if block.trigger is not None:
+            if isinstance(block.trigger, FlagAndClear):
                 found.append(plain_channel(device.name, "clear", CLEAR, clears=maker.topic))
         found.append(plain_channel(device.name, "gap", GAP))
         found.append(plain_channel(device.name, "link", LINK))
@@ -85,6 +83,7 @@ class Session:
                 self._sealer.seal(path)
             self._writer = self._open_writer(self._inheritance)
             stack.push_async_callback(asyncio.to_thread, self._writer.close)
+            self._group = CommitGroup(self._writer)
             self._build()
             for bus in self._buses.values():
                 stack.callback(bus.close)
@@ -104,9 +103,12 @@ class Session:
         for device in self.devices:
             try:
                 device.close()
-                await device.outbox.flush()
             except Exception:  # noqa: BLE001 - one device's fault keeps no other from closing
                 _log.exception("%s: while closing", device.device.name)
+        await self._group.finish()
+        for device in self.devices:
+            for poller in device.pollers:
+                await poller.outbox.flush()
 
     async def run(self) -> None:
         """Record until ``stop``. One task a device; one that breaks is told and restarted."""
@@ -121,6 +123,8 @@ class Session:
     def stop(self) -> None:
         """Let every device finish the poll in hand; then ``run`` returns."""
         self._stop.set()
+        for device in self.devices:
+            device.stop()
 
     async def writer_answers(self) -> None:
         """Return once the writer has taken everything handed to it before."""
@@ -129,7 +133,7 @@ class Session:
     async def _supervise(self, device: PolledDevice) -> None:
         while not self._stop.is_set():
             try:
-                await device.run(self._stop)
+                await device.run()
             except Exception as error:  # noqa: BLE001 - months unattended: one fault ends no device
                 _log.exception("%s: unexpected error", device.device.name)
                 device.outbox.event("error", "internal", f"unexpected {error!r}, going on")
@@ -182,58 +186,11 @@ class Session:
         for name, connection in self.settings.connections.items():
             users = [device for device in devices if device.connection == name]
             self._buses[name] = make_bus(connection, users, self._clock)
-        for device in devices:
-            for block in device.profile.samples:
-                self._add(device, block)
-
-    def _add(self, device: Device, block: Block) -> None:
-        topic = f"/{device.name}/{block.name}"
-        carry = self._inheritance.carry.get(topic)
-        epoch, memory = _resume(carry)
-        outbox = Outbox(device.name, self._writer, self._clock)
-        maker = SampleMaker(device.name, device.profile.name, block, device.word_order, epoch)
-        tally = Tally()
-        bus = self._buses[device.connection]
-        flagged = FlaggedBlock(
-            unit=device.unit,
-            bus=bus,
-            tally=tally,
-            maker=maker,
-            memory=memory,
-            outbox=outbox,
-            clock=self._clock,
-            acknowledge=device.acknowledge,
-            read_until=0 if carry is None else int(str(carry.get("read_at", 0))),
-        )
-        self.devices.append(
-            PolledDevice(
-                device=device,
-                bus=bus,
-                tally=tally,
-                block=flagged,
-                maker=maker,
-                outbox=outbox,
-                writer=self._writer,
-                clock=self._clock,
-            )
-        )
-
-
-def _resume(carry: Mapping[str, object] | None) -> tuple[bytes, Memory]:
-    """Epoch and memory of a block; a new epoch where nothing usable is carried over."""
-    if carry is None:
-        return uuid.uuid4().bytes, Memory()
-    try:
-        payload = carry["payload"]
-        memory = recover(
-            int(str(carry["seq"])),
-            None if payload is None else bytes.fromhex(str(payload)),
-            cleared=bool(carry["cleared"]),
-        )
-        return uuid.UUID(hex=str(carry["epoch"])).bytes, memory
-    except (KeyError, ValueError) as error:
-        _log.warning("the state carried over is not usable (%r), a new epoch begins", error)
-        return uuid.uuid4().bytes, Memory()
+        assembly = Assembly(self._writer, self._group, self._clock, self._inheritance.carry)
+        for index, device in enumerate(devices):
+            phase = min(device.poll, _SPREAD) * index // len(devices)
+            bus = self._buses[device.connection]
+            self.devices.append(assembly.device(device, bus, phase))
 
 
 def _boot_id() -> str:

@@ -36,16 +36,6 @@ def test_problem_is_told(case: dict[str, str], refusal: Callable[[str], list[str
     assert all(line.isprintable() for line in lines)
 
 
-@pytest.mark.parametrize("profile", ["mei-timestamped", "mpa-48", "msx-e3317", "registers"])
-def test_later_profiles_are_told_apart_from_wrong_ones(
-    profile: str, refusal: Callable[[str], list[str]]
-) -> None:
-    """Their own keys are not called unknown."""
-    text = RTU + ROC.replace("hiac-roc", profile) + "points = []\nsensors = {}"
-    only = f'devices.roc1.profile: "{profile}" is not in this version, only "hiac-roc" is'
-    assert refusal(text) == [only]
-
-
 def test_all_problems_at_once(refusal: Callable[[str], list[str]]) -> None:
     lines = refusal("""
         extra = 1
@@ -64,7 +54,7 @@ def test_all_problems_at_once(refusal: Callable[[str], list[str]]) -> None:
         connection = "buss"
         unit = 300
         [devices.roc2]
-        profile = "mpa-48"
+        profile = "weather"
     """)
     assert [line.partition(":")[0] for line in lines] == [
         "extra",
@@ -72,9 +62,10 @@ def test_all_problems_at_once(refusal: Callable[[str], list[str]]) -> None:
         "connections.bus.baudrate",
         "connections.net.host",
         "connections.net.port",
-        "devices.roc1.unit",
         "devices.roc1.profile",
+        "devices.roc1.unit",
         "devices.roc2.profile",
+        "devices.roc2.connection",
         "devices.roc1.connection",
     ]
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 from google.protobuf import descriptor_pb2
 
 from roclog.config import json_schema
-from roclog.config.tables import DeviceTable, Rtu, RtuOverTcp, Tcp, Udp
+from roclog.config.profiles import TABLES
+from roclog.config.tables import Rtu, RtuOverTcp, Tcp, Udp
 from roclog.devices import PROFILES
 from roclog.schema import CLEAR, GAP, LINK, sample_type
 
@@ -40,13 +41,13 @@ def test_module_prints_the_schema() -> None:
 
 def test_schema_has_the_keys_of_the_tables() -> None:
     definitions = json_schema()["definitions"]
-    for table in (Rtu, Tcp, Udp, RtuOverTcp, DeviceTable):
-        keys = set(definitions[table.__name__]["properties"]) - {"transport"}
+    for table in (Rtu, Tcp, Udp, RtuOverTcp, *TABLES.values()):
+        keys = set(definitions[table.__name__]["properties"]) - {"transport", "profile"}
         assert keys == set(table.__struct_fields__)
         assert definitions[table.__name__]["additionalProperties"] is False
     assert definitions["Rtu"]["required"] == ["transport", "port"]
     assert definitions["RtuOverTcp"]["required"] == ["transport", "host", "port"]
-    assert definitions["DeviceTable"]["required"] == ["profile", "connection"]
+    assert definitions["HiacRoc"]["required"] == ["profile", "connection"]
 
 
 def test_proto_texts_say_what_the_descriptors_say() -> None:

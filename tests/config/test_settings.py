@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import pytest
@@ -237,9 +236,11 @@ def test_devices_that_want_different_lines(
     fast = replace(
         ROC, name="fast", serial=SerialDefaults(baudrate=19200), answer_limit=800_000_000
     )
-    both = MappingProxyType({**PROFILES, "fast": fast})
-    monkeypatch.setattr("roclog.config.loading.PROFILES", both)
-    other = DEVICE.replace("roc1", "roc2").replace("hiac-roc", "fast") + "unit = 2\n"
+    maps = {"devices.roc1": ROC, "devices.roc2": fast}
+    monkeypatch.setattr(
+        "roclog.config.devices.register_map", lambda table, key, problems: maps[key]
+    )
+    other = DEVICE.replace("roc1", "roc2") + "unit = 2\n"
     missing = r"connections\.bus\.baudrate: missing, its devices are delivered with 9600 and 19200"
     with pytest.raises(ConfigError, match=missing):
         load_text(RTU + DEVICE + other)

@@ -18,6 +18,10 @@ class Tally:
     wrong_answers: whole frames that do not answer the request.
     discarded_octets: on RTU beside answers and echoes; on UDP, datagrams that are no answer.
     link_losses: links that went away or could not be opened.
+    polls: attempts on schedule. skipped: those left out, since the one before was late by more than
+    a period.
+    frame_errors, parity_errors, overruns, breaks: as the serial port counted them; on a shared line
+    those that came while this device was asked.
     busy: from the request until the line was free again.
     """
 
@@ -32,6 +36,12 @@ class Tally:
     round_trip_sum: int = 0
     round_trip_max: int = 0
     busy: int = 0
+    polls: int = 0
+    skipped: int = 0
+    frame_errors: int = 0
+    parity_errors: int = 0
+    overruns: int = 0
+    breaks: int = 0
     exceptions: dict[int, int] = field(default_factory=dict)
 
     def reset(self) -> None:

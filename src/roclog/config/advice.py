@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
+import re
 import stat
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from roclog.config.leaves import shown
@@ -22,6 +25,9 @@ TURNAROUND: Final = 10_000_000
 _REQUEST: Final = 8
 _ANSWER_FRAME: Final = 5
 """Characters of a read request, and of an answer around its registers."""
+_BY_ID: Final = Path("/dev/serial/by-id")
+_NUMBERED: Final = re.compile(r"/dev/tty(USB|ACM)\d+")
+"""Names that the system gives out in the order of plugging in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,6 +125,7 @@ def _connection_warnings(connection: Connection, users: list[Device]) -> Iterato
         yield "", "no device uses this connection"
     if not connection.is_serial:
         return
+    yield from _port_warnings(connection)
     known = ["baudrate"]
     if connection.transport == "rtu":  # else the gateway has the rest
         known += ["bytesize", "parity", "stopbits"]
@@ -140,6 +147,23 @@ def _connection_warnings(connection: Connection, users: list[Device]) -> Iterato
             f"turnaround take {format_duration(needed)} at {connection.baudrate} baud"
         )
         yield ".timeout", text
+
+
+def _port_warnings(connection: Connection) -> Iterator[tuple[str, str]]:
+    port = str(connection.port)
+    if connection.transport == "rtu" and _NUMBERED.fullmatch(port):
+        better = _name_that_stays(port) or f"a link below {_BY_ID}"
+        yield ".port", f"{port} may be another adapter when it is plugged in again; use {better}"
+
+
+def _name_that_stays(port: str) -> str | None:
+    """The link to this port, of those that udev makes from make and serial number."""
+    try:
+        links = sorted(str(link) for link in _BY_ID.iterdir())
+    except OSError:
+        return None
+    same = (link for link in links if os.path.realpath(link) == os.path.realpath(port))
+    return next((link for link in same if link.isprintable()), None)
 
 
 def _longest_answer(profile: RegisterMap) -> int:

@@ -7,16 +7,27 @@ import os
 from decimal import Decimal
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from msgspec import UnsetType
+from msgspec import UNSET, UnsetType
 
 from roclog.config.leaves import Silence
-from roclog.config.settings import Connection, Device, RecordingSettings
-from roclog.config.tables import DeviceTable, Keep, Recording, Rtu, RtuOverTcp, Segment, Tcp, Udp
-from roclog.register_map import RegisterMap, SerialDefaults, WordOrder
+from roclog.config.settings import Connection, Device, DirectionControl, RecordingSettings
+from roclog.config.tables import (
+    Keep,
+    Recording,
+    Rs485,
+    Rtu,
+    RtuOverTcp,
+    Segment,
+    Tcp,
+    Udp,
+)
+from roclog.register_map import MODBUS_PORT, RegisterMap, SerialDefaults, WordOrder
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from roclog.config.profiles.device_table import DeviceTable
 
     Value = TypeVar("Value")
 
@@ -78,6 +89,17 @@ def serial_line(
         late_answer=_given(table.late_answer, 2 * timeout),
         silence=_silence(table, wanted, baudrate, character),
         character=character,
+        low_latency=_given(table.low_latency, default=True),
+        rs485=None if isinstance(table.rs485, UnsetType) else direction_control(table.rs485),
+    )
+
+
+def direction_control(table: Rs485) -> DirectionControl:
+    return DirectionControl(
+        rts_on_send=_given(table.rts_on_send, default=True),
+        rts_after_send=_given(table.rts_after_send, default=False),
+        delay_before_send=_given(table.delay_before_send, 0),
+        delay_after_send=_given(table.delay_after_send, 0),
     )
 
 
@@ -132,10 +154,11 @@ def server(name: str, table: Tcp | Udp, profiles: Sequence[RegisterMap]) -> Conn
     if isinstance(table.host, UnsetType):
         return None
     limits = [profile.answer_limit for profile in profiles]
+    ports = {profile.port for profile in profiles}
     return Connection(
         name=name,
         transport="tcp" if isinstance(table, Tcp) else "udp",
-        port=_given(table.port, 502),
+        port=_given(table.port, ports.pop() if len(ports) == 1 else MODBUS_PORT),
         host=table.host,
         baudrate=0,
         bytesize=0,
@@ -158,7 +181,7 @@ def device(name: str, table: DeviceTable, profile: RegisterMap) -> Device | None
         connection=table.connection,
         unit=_given(table.unit, profile.unit),
         poll=_given(table.poll, _SECOND),
-        word_order=_given(table.word_order, WordOrder.ABCD),
-        acknowledge=_given(table.acknowledge, default=True),
-        cycle=_optional(table.cycle),
+        word_order=_given(getattr(table, "word_order", UNSET), WordOrder.ABCD),
+        acknowledge=_given(getattr(table, "acknowledge", UNSET), default=True),
+        cycle=_optional(getattr(table, "cycle", UNSET)),
     )

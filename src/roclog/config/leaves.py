@@ -19,6 +19,7 @@ NAME: Final = "[a-z0-9][a-z0-9_-]{0,31}"
 """Of connections and devices: they become topics and names of files."""
 _LONGEST_TEXT: Final = 40
 _LONGEST_DURATION: Final = 36_500 * 86_400 * 10**9
+_LONGEST_RTS_DELAY: Final = 100 * 10**6
 _LARGEST_SIZE: Final = 2**53
 
 
@@ -31,6 +32,18 @@ class Duration(int):
         amount = parse_duration(text)
         if not 0 < amount <= _LONGEST_DURATION:
             raise ValueError(f"{text!r} is not more than 0 and at most 36500d")
+        return cls(amount)
+
+
+class RtsDelay(int):
+    """Nanoseconds: whole milliseconds from 0 to 100, which is what Linux takes."""
+
+    @classmethod
+    def parse(cls, value: object) -> RtsDelay:
+        text = _short_text(value, 'a duration in quotes, like "1ms"')
+        amount = parse_duration(text)
+        if amount % 10**6 or amount > _LONGEST_RTS_DELAY:
+            raise ValueError(f"{text!r} is not a whole number of milliseconds from 0ms to 100ms")
         return cls(amount)
 
 
@@ -130,6 +143,7 @@ def shown(value: object) -> str:
 
 _PARSED: Final[dict[type, tuple[Callable[[object], object], str]]] = {
     Duration: (Duration.parse, r"^\s*\d+(\.\d+)?\s*(us|ms|s|min|h|d)\s*$"),
+    RtsDelay: (RtsDelay.parse, r"^\s*\d+(\.\d+)?\s*(us|ms|s|min|h|d)\s*$"),
     Size: (Size.parse, r"^\s*\d+(\.\d+)?\s*(B|KiB|MiB|GiB|TiB)\s*$"),
     Silence: (Silence.parse, r"^\s*\d+(\.\d+)?\s*(chars?|us|ms|s|min|h|d)\s*$"),
     PathText: (PathText.parse, "^[^~]"),

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import os
-import re
 from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 
 from roclog.config import defaults
-from roclog.config.leaves import NAME, shown
-from roclog.config.reading import Problems, joined, read_table, read_toml, suggestion
+from roclog.config.devices import read_devices
+from roclog.config.leaves import shown
+from roclog.config.reading import (
+    Problems,
+    alternatives,
+    joined,
+    named_tables,
+    read_table,
+    read_toml,
+    suggestion,
+)
 from roclog.config.settings import Connection, Settings
 from roclog.config.tables import (
-    LATER_PROFILES,
     Configuration,
-    DeviceTable,
     Line,
     Recording,
     Rtu,
@@ -26,12 +32,11 @@ from roclog.config.tables import (
     Tcp,
     Udp,
 )
-from roclog.devices import PROFILES
 from roclog.errors import ConfigError
 from roclog.quantities import format_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
     from roclog.config.settings import Device, RecordingSettings
     from roclog.register_map import RegisterMap
@@ -44,8 +49,6 @@ _TRANSPORTS: Final[dict[str, type[Line]]] = {
 }
 _SHORTEST_SEGMENT: Final = 10**9
 _SMALLEST_SEGMENT: Final = 64 << 10
-_SERIAL_UNITS: Final = range(1, 248)
-"""Modbus over Serial Line V1.02, section 2.2; 0 is the broadcast."""
 
 
 def load(path: Path) -> Settings:
@@ -63,12 +66,8 @@ def load(path: Path) -> Settings:
     recording = defaults.recording_settings(table, base)
     _check_recording(recording, problems)
     lines = dict(_read_connections(file, problems))
-    tables = dict(_read_devices(file, problems))
-    _check_references(tables, file.get("connections"), problems)
-    connections = _connections(lines, tables, base, problems)
-    devices = _devices(tables, lines, problems)
-    _check_acknowledging(devices.values(), problems)
-
+    devices = read_devices(file, lines, problems)
+    connections = _connections(lines, devices.values(), base, problems)
     if problems.found:
         raise ConfigError(path, problems.found)
     return Settings(
@@ -91,23 +90,8 @@ def _check_recording(recording: RecordingSettings, problems: Problems) -> None:
         problems.add("recording.keep.size", "is less than the size of one segment")
 
 
-def _named_tables(file: dict[str, Any], key: str, problems: Problems) -> Iterator[tuple[str, Any]]:
-    """The tables below connections or devices whose names can be used, with their names."""
-    value = file.get(key)
-    if value is None or value == {}:
-        problems.add(key, f"missing, needed is at least one table [{key}.NAME]")
-    elif not isinstance(value, dict):
-        problems.add(key, f"{shown(value)} is not a table, write [{key}.NAME]")
-    else:
-        for name, table in value.items():
-            if re.fullmatch(NAME, name) is None:
-                text = "name is not 1 to 32 of a-z, 0-9, - and _, with a letter or digit first"
-                problems.add(joined(key, name), text)
-            yield name, table
-
-
 def _read_connections(file: dict[str, Any], problems: Problems) -> Iterator[tuple[str, Line]]:
-    for name, table in _named_tables(file, "connections", problems):
+    for name, table in named_tables(file, "connections", problems):
         key = joined("connections", name)
         if not isinstance(table, dict):
             problems.add(key, f"{shown(table)} is not a table, write [connections.NAME]")
@@ -117,12 +101,12 @@ def _read_connections(file: dict[str, Any], problems: Problems) -> Iterator[tupl
             own = _without_foreign_keys(transport, table, key, problems)
             yield name, read_table(_TRANSPORTS[transport], own, key, problems)
         elif "transport" not in table:
-            problems.add(f"{key}.transport", f"missing, needed is {_alternatives(_TRANSPORTS)}")
+            problems.add(f"{key}.transport", f"missing, needed is {alternatives(_TRANSPORTS)}")
             known = {name for kind in _TRANSPORTS.values() for name in kind.__struct_fields__}
             problems.unknown_keys(key, table, {"transport", *known})
         else:
             hint = suggestion(transport, _TRANSPORTS) if isinstance(transport, str) else ""
-            text = f"{shown(transport)} is not {_alternatives(_TRANSPORTS)}{hint}"
+            text = f"{shown(transport)} is not {alternatives(_TRANSPORTS)}{hint}"
             problems.add(f"{key}.transport", text)
 
 
@@ -133,69 +117,24 @@ def _without_foreign_keys(
     for name, value in table.items():
         having = [word for word, kind in _TRANSPORTS.items() if name in kind.__struct_fields__]
         if having and transport not in having:
-            problems.add(joined(key, name), f"only with transport = {_alternatives(having)}")
+            problems.add(joined(key, name), f"only with transport = {alternatives(having)}")
         else:
             own[name] = value
     return own
 
 
-def _alternatives(words: Iterable[str]) -> str:
-    *others, last = (shown(word) for word in words)
-    return " or ".join(filter(None, (", ".join(others), last)))
-
-
-def _read_devices(file: dict[str, Any], problems: Problems) -> Iterator[tuple[str, DeviceTable]]:
-    for name, table in _named_tables(file, "devices", problems):
-        key = joined("devices", name)
-        if name == "log":
-            problems.add(key, "a device cannot be called log, that is the topic of events")
-        profile = table.get("profile") if isinstance(table, dict) else None
-        if isinstance(profile, str) and profile in LATER_PROFILES:
-            names = ", ".join(f'"{name}"' for name in PROFILES)
-            problems.add(
-                f"{key}.profile", f"{shown(profile)} is not in this version, only {names} is"
-            )
-            continue
-        device = read_table(DeviceTable, table, key, problems)
-        if isinstance(device.profile, str) and device.profile not in PROFILES:
-            hint = suggestion(device.profile, PROFILES) or f", known: {', '.join(PROFILES)}"
-            problems.add(f"{key}.profile", f"no profile {shown(device.profile)}{hint}")
-        yield name, device
-
-
-def _check_references(
-    devices: Mapping[str, DeviceTable], connections: object, problems: Problems
-) -> None:
-    names = list(connections) if isinstance(connections, dict) else []
-    for name, device in devices.items():
-        wanted = device.connection
-        if isinstance(wanted, str) and wanted not in names:
-            key = joined("devices", name)
-            hint = suggestion(wanted, names)
-            problems.add(f"{key}.connection", f"no connection {shown(wanted)}{hint}")
-
-
-def _profiles_on(connection: str, devices: Mapping[str, DeviceTable]) -> list[RegisterMap]:
-    return [
-        PROFILES[device.profile]
-        for device in devices.values()
-        if device.connection == connection
-        and isinstance(device.profile, str)
-        and device.profile in PROFILES
-    ]
-
-
 def _connections(
     lines: Mapping[str, Line],
-    devices: Mapping[str, DeviceTable],
+    devices: Collection[Device],
     base: Path,
     problems: Problems,
 ) -> dict[str, Connection]:
     connections: dict[str, Connection] = {}
     for name, line in lines.items():
-        profiles = _profiles_on(name, devices)
+        profiles = [device.profile for device in devices if device.connection == name]
         if isinstance(line, Rtu):
             connection = defaults.serial_line(name, line, profiles, base)
+            _check_direction(joined("connections", name), line, problems)
             _check_format(joined("connections", name), line, profiles, problems)
         elif isinstance(line, RtuOverTcp):
             connection = defaults.gateway(name, line, profiles)
@@ -233,6 +172,17 @@ def _check_format(
             problems.add(f"{key}.{name}", f"missing, its devices are delivered with {choice}")
 
 
+def _check_direction(key: str, line: Rtu, problems: Problems) -> None:
+    if isinstance(line.rs485, UnsetType):
+        return
+    names = ("rts_on_send", "rts_after_send")
+    wanted = defaults.direction_control(line.rs485)
+    same = wanted.rts_on_send == wanted.rts_after_send
+    if same and not any(problems.at(f"{key}.rs485.{name}") for name in names):
+        text = f"{shown(wanted.rts_after_send)} like rts_on_send, so RTS would switch nothing"
+        problems.add(f"{key}.rs485.rts_after_send", text)
+
+
 def _check_times(key: str, connection: Connection, problems: Problems) -> None:
     timeout, late = connection.timeout, connection.late_answer
     if late is not None and late < timeout and not problems.at(f"{key}.timeout"):
@@ -245,35 +195,3 @@ def _check_times(key: str, connection: Connection, problems: Problems) -> None:
             f"{format_duration(least)} at {connection.baudrate} baud"
         )
         problems.add(f"{key}.silence", text)
-
-
-def _devices(
-    tables: Mapping[str, DeviceTable], lines: Mapping[str, Line], problems: Problems
-) -> dict[str, Device]:
-    devices: dict[str, Device] = {}
-    for name, table in tables.items():
-        if not isinstance(table.profile, str) or table.profile not in PROFILES:
-            continue
-        device = defaults.device(name, table, PROFILES[table.profile])
-        if device is None:
-            continue
-        devices[name] = device
-        line = lines.get(device.connection)
-        if isinstance(line, Rtu | RtuOverTcp) and device.unit not in _SERIAL_UNITS:
-            key = joined("devices", name)
-            text = f"{device.unit} is not a unit on a serial line, 1 to 247"
-            problems.add(f"{key}.unit", text)
-    return devices
-
-
-def _check_acknowledging(devices: Iterable[Device], problems: Problems) -> None:
-    clearing = [device for device in devices if device.clears]
-    for one, other in combinations(clearing, 2):
-        keys = [f"{joined('devices', device.name)}.unit" for device in (one, other)]
-        same = (one.connection, one.unit) == (other.connection, other.unit)
-        if same and not any(problems.at(key) for key in keys):
-            text = (
-                f"{other.unit} is the unit of device {shown(one.name)} on the same connection, and "
-                "both would clear its flag; acknowledge = false on one of them, or another unit"
-            )
-            problems.add(keys[1], text)

@@ -6,17 +6,17 @@ import re
 import stat
 import tomllib
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 from msgspec import UNSET, Struct, UnsetType
 from msgspec.structs import fields
 
-from roclog.config.leaves import parse_leaf, shown
+from roclog.config.leaves import NAME, parse_leaf, shown
 from roclog.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Iterable, Iterator
     from pathlib import Path
 
 Table = TypeVar("Table", bound=Struct)
@@ -93,6 +93,26 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     return f', did you mean "{folded[close[0]]}"?' if close else ""
 
 
+def named_tables(file: dict[str, Any], key: str, problems: Problems) -> Iterator[tuple[str, Any]]:
+    """The tables below connections or devices whose names can be used, with their names."""
+    value = file.get(key)
+    if value is None or value == {}:
+        problems.add(key, f"missing, needed is at least one table [{key}.NAME]")
+    elif not isinstance(value, dict):
+        problems.add(key, f"{shown(value)} is not a table, write [{key}.NAME]")
+    else:
+        for name, table in value.items():
+            if re.fullmatch(NAME, name) is None:
+                text = "name is not 1 to 32 of a-z, 0-9, - and _, with a letter or digit first"
+                problems.add(joined(key, name), text)
+            yield name, table
+
+
+def alternatives(words: Iterable[str]) -> str:
+    *others, last = (shown(word) for word in words)
+    return " or ".join(filter(None, (", ".join(others), last)))
+
+
 def read_table(kind: type[Table], value: object, key: str, problems: Problems) -> Table:
     """Check every key of one table.
 
@@ -117,11 +137,28 @@ def _read_value(kind: Any, value: object, key: str, problems: Problems) -> objec
     plain = _plain(kind)
     if isinstance(plain, type) and issubclass(plain, Struct):
         return read_table(plain, value, key, problems)
+    member = _struct_of_list(plain)
+    if member is not None:
+        return _read_tables(member, value, key, problems)
     try:
         return msgspec.convert(value, plain, dec_hook=parse_leaf)
     except msgspec.ValidationError as error:
         problems.add(key, _refusal(plain, value, error))
         return UNSET
+
+
+def _read_tables(kind: type[Struct], value: object, key: str, problems: Problems) -> object:
+    if not isinstance(value, list):
+        problems.add(key, f"{shown(value)} is not an array of tables")
+        return UNSET
+    return [read_table(kind, item, f"{key}[{index}]", problems) for index, item in enumerate(value)]
+
+
+def _struct_of_list(kind: Any) -> type[Struct] | None:
+    """The table of an array of tables, None for everything else."""
+    inner = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    member = get_args(inner)[0] if get_origin(inner) is list else None
+    return member if isinstance(member, type) and issubclass(member, Struct) else None
 
 
 def _plain(kind: Any) -> Any:

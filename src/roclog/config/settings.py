@@ -30,6 +30,19 @@ class RecordingSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DirectionControl:
+    """How RTS switches an RS-485 driver: its level then, and how long before and after a frame.
+
+    Delays are whole milliseconds, since drivers take those.
+    """
+
+    rts_on_send: bool
+    rts_after_send: bool
+    delay_before_send: int
+    delay_after_send: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Connection:
     """A serial line, a Modbus TCP or UDP server, or a gateway that passes RTU frames through.
 
@@ -41,6 +54,8 @@ class Connection:
     late_answer: from the start of a request until its answer can no longer come; None where answers
     are numbered: with tcp and udp.
     silence: before every frame. character: duration of one on the wire. Both 0 with tcp and udp.
+    low_latency: have the driver of the serial port hand octets over as they come.
+    rs485: None leaves the port as it is.
     """
 
     name: str
@@ -55,6 +70,8 @@ class Connection:
     late_answer: int | None
     silence: int
     character: int
+    low_latency: bool = False
+    rs485: DirectionControl | None = None
 
     @property
     def is_serial(self) -> bool:
@@ -86,7 +103,7 @@ class Device:
     @property
     def clears(self) -> bool:
         """Whether roclog writes to the device: it may acknowledge, and its profile has a flag."""
-        return self.acknowledge and any(b.trigger is not None for b in self.profile.samples)
+        return self.acknowledge and self.profile.flagged is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,16 +6,21 @@ these Structs. UNSET: the file does not say, or what it says is already reported
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import UNSET, Meta, Struct, UnsetType, json
 
-from roclog.config.leaves import NAME, Duration, Host, PathText, Silence, Size, leaf_schema
-from roclog.devices import PROFILES
-from roclog.register_map import WordOrder
-
-LATER_PROFILES: Final = frozenset({"mei-timestamped", "mpa-48", "msx-e3317", "registers"})
-"""Words of the interface that this version does not have yet."""
+from roclog.config.leaves import (
+    NAME,
+    Duration,
+    Host,
+    PathText,
+    RtsDelay,
+    Silence,
+    Size,
+    leaf_schema,
+)
+from roclog.config.profiles import AnyDevice  # noqa: TC001 - msgspec reads the annotation
 
 _Directory = Annotated[
     PathText, Meta(description="Relative to the configuration; default recordings")
@@ -87,6 +92,38 @@ _Silence = Annotated[
 ]
 
 
+_LowLatency = Annotated[
+    bool,
+    Meta(
+        title="true or false, without quotes",
+        description="Ask the driver to hand octets over as they come; default true",
+    ),
+]
+_RtsOnSend = Annotated[
+    bool,
+    Meta(title="true or false, without quotes", description="RTS during a frame; default true"),
+]
+_RtsAfterSend = Annotated[
+    bool,
+    Meta(title="true or false, without quotes", description="RTS between frames; default false"),
+]
+_RtsDelayBefore = Annotated[
+    RtsDelay, Meta(description="From RTS to the frame, whole milliseconds; default 0ms")
+]
+_RtsDelayAfter = Annotated[
+    RtsDelay, Meta(description="From the frame to RTS, whole milliseconds; default 0ms")
+]
+
+
+class Rs485(Struct, kw_only=True, forbid_unknown_fields=True):
+    """Direction control of an RS-485 port by its driver; without this table it is not touched."""
+
+    rts_on_send: _RtsOnSend | UnsetType = UNSET
+    rts_after_send: _RtsAfterSend | UnsetType = UNSET
+    delay_before_send: _RtsDelayBefore | UnsetType = UNSET
+    delay_after_send: _RtsDelayAfter | UnsetType = UNSET
+
+
 class Rtu(Struct, kw_only=True, forbid_unknown_fields=True, tag_field="transport", tag="rtu"):
     """A serial line with Modbus RTU."""
 
@@ -98,6 +135,8 @@ class Rtu(Struct, kw_only=True, forbid_unknown_fields=True, tag_field="transport
     timeout: _Timeout | UnsetType = UNSET
     late_answer: _LateAnswer | UnsetType = UNSET
     silence: _Silence | UnsetType = UNSET
+    low_latency: _LowLatency | UnsetType = UNSET
+    rs485: Rs485 | UnsetType = UNSET
 
 
 _Host = Annotated[Host, Meta(title="a host name or an IP address")]
@@ -162,56 +201,6 @@ class RtuOverTcp(
 
 Line = Rtu | Tcp | Udp | RtuOverTcp
 
-_Profile = Annotated[
-    str,
-    Meta(
-        title="the name of a profile",
-        description="Built-in register map; `roclog profiles` lists them",
-        extra_json_schema={"enum": sorted(PROFILES)},
-    ),
-]
-_ConnectionName = Annotated[
-    str,
-    Meta(
-        title="the name of a connection",
-        description="Name of one of the tables under connections",
-    ),
-]
-_Unit = Annotated[
-    int,
-    Meta(
-        ge=0,
-        le=255,
-        title="a unit: 1 to 247 on serial lines, 0 to 255 on TCP and UDP",
-        description="Default: as the device is delivered",
-    ),
-]
-_Poll = Annotated[Duration, Meta(description="From read to read; default 1s")]
-_WordOrder = Annotated[WordOrder, Meta(description="Of 32-bit values; default ABCD")]
-_Acknowledge = Annotated[
-    bool,
-    Meta(
-        title="true or false, without quotes",
-        description="false: never write, tell samples apart by change; default true",
-    ),
-]
-_Cycle = Annotated[
-    Duration, Meta(description="Time between samples; default: what the device says")
-]
-
-
-class DeviceTable(Struct, kw_only=True, forbid_unknown_fields=True):
-    """A device with a built-in register map."""
-
-    profile: _Profile | UnsetType
-    connection: _ConnectionName | UnsetType
-    unit: _Unit | UnsetType = UNSET
-    poll: _Poll | UnsetType = UNSET
-    word_order: _WordOrder | UnsetType = UNSET
-    acknowledge: _Acknowledge | UnsetType = UNSET
-    cycle: _Cycle | UnsetType = UNSET
-
-
 _ByName = Meta(extra_json_schema={"propertyNames": {"pattern": f"^{NAME}$"}, "minProperties": 1})
 
 
@@ -220,7 +209,7 @@ class Configuration(Struct, kw_only=True, forbid_unknown_fields=True):
 
     recording: Recording | UnsetType = UNSET
     connections: Annotated[dict[str, Line], _ByName]
-    devices: Annotated[dict[str, DeviceTable], _ByName]
+    devices: Annotated[dict[str, AnyDevice], _ByName]
 
 
 def json_schema() -> dict[str, Any]:

@@ -175,7 +175,8 @@ class Writer:
                 segment.append_metadata(*job.metadata)
             if job.carry is not None:
                 self._inheritance.carry[job.carry[0]] = dict(job.carry[1])
-                self._directory.write_state_file(self._inheritance)
+        if any(job.carry is not None for job in jobs):
+            self._directory.write_state_file(self._inheritance)
         if not entries:
             return
         durable = any(job.durable for job in jobs)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from wire import mbap_frame, rtu_frame
 
 from roclog.bus.bus import Bus, Framing, Timing
+from roclog.bus.link import Link
 from roclog.clock import Instant
 from roclog.modbus.request import ReadRegisters, WriteRegister
 
@@ -83,7 +84,7 @@ def now() -> int:
     return VirtualClock().now().monotonic
 
 
-class FakeLink:
+class FakeLink(Link):
     """Notes what is sent, and when. ``on_send`` is called with every frame.
 
     failures: what the next attempts to open or to send raise, in order.

@@ -10,7 +10,10 @@ from roclog.bus.bus import TooLate
 from roclog.cadence import Cadence, Missed
 from roclog.errors import DeviceError, ExceptionAnswer
 from roclog.handshake import Memory, Note, Seen, Verdict, after_clear, judge
-from roclog.modbus.request import ReadRegisters, WriteRegister, words
+from roclog.modbus.request import WriteRegister, words
+from roclog.polling.block_watch import BlockWatch
+from roclog.polling.request_plan import read_request
+from roclog.register_map import FlagAndClear
 from roclog.samples import Reading, SampleMaker
 from roclog.schema import ClearResult, Reason
 
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
     from roclog.bus.tally import Tally
     from roclog.clock import Clock, Instant
     from roclog.outbox import Outbox
-    from roclog.register_map import Block, FlagAndClear
+    from roclog.register_map import Block
 
 _SETTLE_MAX: Final = 250_000_000
 """Nanoseconds between the two reads that confirm a sample: a quarter of the cycle, at most this.
@@ -48,27 +51,31 @@ class FlaggedBlock:
         outbox: Outbox,
         clock: Clock,
         acknowledge: bool,
+        period: int,
         read_until: int = 0,
     ) -> None:
-        block = maker.block
-        if block.trigger is None:
-            raise ValueError(f"block {block.name} has no flag")
+        block, trigger = maker.block, maker.block.trigger
+        if not isinstance(trigger, FlagAndClear):
+            raise TypeError(f"block {block.name} has no flag")
         self.block: Block = block
+        self.period = period
+        self.outbox = outbox
         self.cadence = Cadence(None)
         self.last: Reading | None = None
         self.powered_up = False
-        self._trigger: FlagAndClear = block.trigger
-        self._request = ReadRegisters(block.table.read_function, block.address, block.count)
+        self._trigger = trigger
+        self._request = read_request(block)
         self._unit = unit
         self._bus = bus
         self._tally = tally
         self._maker = maker
+        self._watch = BlockWatch(maker, outbox)
         self._memory = memory
-        self._outbox = outbox
         self._clock = clock
         self._acknowledge = acknowledge
         self._read_until = read_until
         self._known_until = read_until
+        self._due = 0
         self._quiet_at = 0
         self._clear_after = 0
         self._refused = False
@@ -82,12 +89,18 @@ class FlaggedBlock:
         """Number of the last sample; earlier runs count."""
         return self._memory.seq
 
-    async def turn(self) -> None:
+    async def turn(self, due: int) -> None:
         """One poll, up to the clear.
 
         Raises:
             DeviceError: a read failed; what was learnt before is kept.
         """
+        self._due = due
+        await self._converse()
+        if self.last is not None:
+            self._watch.see(self.last)
+
+    async def _converse(self) -> None:
         looks, unsettled = 1, 0
         while True:
             verdict = await self._look()
@@ -120,12 +133,12 @@ class FlaggedBlock:
             raw = self._reading(candidate).raw.hex(" ")
             self._event("warning", "unconfirmed", f"stopped before a second read of {raw}")
             known_until = self._reading(candidate).known_until
-        if self.last is not None and self._outbox.empty:
+        if self.last is not None and self.outbox.empty:
             carry = self._maker.carry(self._memory, known_until)
-            self._outbox.checkpoint(self._maker.topic, carry)
+            self.outbox.checkpoint(self._maker.topic, carry)
 
     async def _look(self) -> Verdict:
-        answer = await self._bus.transact(self._unit, self._request, self._tally)
+        answer = await self._bus.transact(self._unit, self._request, self._tally, due=self._due)
         reading = Reading(words(answer.pdu), answer.asked, answer.read, self._quiet_at)
         seen = self._seen(reading)
         candidate = self._memory.candidate
@@ -139,7 +152,7 @@ class FlaggedBlock:
         self.last = reading
         if not verdict.again:
             self._quiet_at = reading.read.utc
-        await self._outbox.flush()
+        await self.outbox.flush()
         self._tell_given_up(reading.read)
         return verdict
 
@@ -161,7 +174,7 @@ class FlaggedBlock:
             if not news.redelivered:
                 self._follow(kept, reading)
             self._known_until = kept.known_until
-            self._outbox.add(self._maker.sample(news, kept, self._memory))
+            self.outbox.add(self._maker.sample(news, kept, self._memory))
         if not verdict.again and self._memory.candidate is None:
             self._tell_missed(self.cadence.quiet(reading.asked.monotonic), reading.read)
             self._watch_for_overdue(reading)
@@ -191,7 +204,7 @@ class FlaggedBlock:
         return self._clock.now().monotonic - self.last.asked.monotonic < self._settle()
 
     def _may_clear(self) -> bool:
-        if not self._acknowledge or not self._outbox.empty:
+        if not self._acknowledge or not self.outbox.empty:
             return False
         return self._clock.now().monotonic >= self._clear_after
 
@@ -200,7 +213,9 @@ class FlaggedBlock:
         asked = self._clock.now()
         code = 0
         try:
-            await self._bus.transact(self._unit, request, self._tally, not_after=not_after)
+            await self._bus.transact(
+                self._unit, request, self._tally, due=self._due, not_after=not_after
+            )
             result = ClearResult.DONE
         except TooLate:
             raise
@@ -226,7 +241,7 @@ class FlaggedBlock:
             guarded=guarded,
             read_at=self._known_until,
         )
-        self._outbox.note(note)
+        self.outbox.note(note)
 
     def _tell_refusal(self, refusal: ExceptionAnswer) -> None:
         self._clear_after = self._clock.now().monotonic + _REFUSED_PAUSE
@@ -240,7 +255,7 @@ class FlaggedBlock:
             case Note.BASELINE:
                 self._event("info", "baseline", f"first block, flag down, not a sample: {raw}")
                 carry = self._maker.carry(self._memory, reading.read.utc)
-                self._outbox.checkpoint(self._maker.topic, carry)
+                self.outbox.checkpoint(self._maker.topic, carry)
             case Note.POWER_UP:
                 self._tell_power_up(reading)
             case Note.TORN:
@@ -273,7 +288,7 @@ class FlaggedBlock:
         gap = self._maker.gap(
             after, before, missed.count, reason, now.utc, possible=missed.possible
         )
-        self._outbox.add(gap)
+        self.outbox.add(gap)
 
     def _tell_downtime(self, now: Instant) -> None:
         """The time between two runs is a gap, on disk no later than the first sample after it."""
@@ -281,24 +296,24 @@ class FlaggedBlock:
         if since:
             cycle = self.cadence.cycle
             expected = (now.utc - since) // cycle if cycle else 0
-            self._outbox.add(
+            self.outbox.add(
                 self._maker.gap(
                     since, now.utc, expected, Reason.DOWNTIME, now.utc, possible=expected <= 1
                 )
             )
 
     def _tell_given_up(self, now: Instant) -> None:
-        lost = self._outbox.take_given_up()
+        lost = self.outbox.take_given_up()
         if lost is not None:
             first, last, count = lost
-            self._outbox.add(self._maker.gap(first, last, count, Reason.STORAGE, now.utc))
+            self.outbox.add(self._maker.gap(first, last, count, Reason.STORAGE, now.utc))
 
     def _settle(self) -> int:
         cycle = self.cadence.effective_cycle
         return _SETTLE_MAX if cycle is None else min(cycle // 4, _SETTLE_MAX)
 
     def _event(self, level: str, kind: str, text: str) -> None:
-        self._outbox.event(level, kind, text)
+        self.outbox.event(level, kind, text)
 
     @staticmethod
     def _reading(seen: Seen) -> Reading:

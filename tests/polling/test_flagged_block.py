@@ -14,7 +14,7 @@ from roclog.devices import PROFILES
 from roclog.errors import ExceptionAnswer, NoAnswer
 from roclog.handshake import Memory
 from roclog.modbus.request import WriteRegister
-from roclog.poll import FlaggedBlock
+from roclog.polling.flagged_block import FlaggedBlock
 from roclog.register_map import WordOrder
 from roclog.samples import SampleMaker
 from roclog.schema import CLEAR, read_signature
@@ -112,6 +112,7 @@ def make(bench: Bench, memory: Memory, *, cycle: int | None = CYCLE) -> FlaggedB
         outbox=bench,  # type: ignore[arg-type]
         clock=bench,
         acknowledge=True,
+        period=100 * MS,
         read_until=0,
     )
     block.cadence.cycle = cycle
@@ -123,7 +124,7 @@ KNOWN = Memory(seq=3, payload=b"\0\x0a" + bytes(36), restarted=False)
 
 def turn(bench: Bench, block: FlaggedBlock) -> list[str]:
     bench.log.clear()
-    asyncio.run(block.turn())
+    asyncio.run(block.turn(0))
     return bench.log
 
 

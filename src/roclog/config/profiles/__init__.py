@@ -1,0 +1,26 @@
+"""What a device table of each profile says, and the register map that follows from it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from roclog.config.profiles import hiac_roc
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from roclog.config.profiles.device_table import DeviceTable
+    from roclog.config.reading import Problems
+    from roclog.register_map import RegisterMap
+
+AnyDevice = hiac_roc.HiacRoc
+TABLES: Final[dict[str, type[DeviceTable]]] = {"hiac-roc": hiac_roc.HiacRoc}
+"""The keys of a device by its profile."""
+_BUILDERS: Final[dict[str, Callable[[Any, str, Problems], RegisterMap | None]]] = {
+    "hiac-roc": hiac_roc.register_map,
+}
+
+
+def register_map(table: DeviceTable, key: str, problems: Problems) -> RegisterMap | None:
+    """The map of the device at this key path; None where its problems leave none."""
+    return _BUILDERS[str(table.__struct_config__.tag)](table, key, problems)

@@ -1,0 +1,57 @@
+"""What a device says of itself: identity and configuration, kept as metadata of every segment."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from roclog.decode import Value, decode, field_names
+from roclog.modbus.request import words
+from roclog.polling.request_plan import read_request
+
+if TYPE_CHECKING:
+    from roclog.bus.bus import Bus
+    from roclog.bus.tally import Tally
+    from roclog.config.settings import Device
+    from roclog.register_map import Block
+
+
+async def read_facts(block: Block, device: Device, bus: Bus, tally: Tally) -> dict[str, Value]:
+    """The fields of one block by name.
+
+    Raises:
+        DeviceError: as Bus.transact.
+    """
+    answer = await bus.transact(device.unit, read_request(block), tally)
+    decoded = decode(block, words(answer.pdu), device.word_order)
+    return dict(zip(field_names(block), decoded.values, strict=True))
+
+
+def device_metadata(device: Device, facts: dict[str, dict[str, Value]]) -> dict[str, str]:
+    """The metadata record of a device: who it is, and its map, to read ``raw`` without roclog."""
+    return {
+        "profile": device.profile.name,
+        "unit": str(device.unit),
+        "connection": device.connection,
+        "register_map": json.dumps([_described(block) for block in device.profile.samples]),
+        **{name: json.dumps(values) for name, values in facts.items()},
+    }
+
+
+def _described(block: Block) -> dict[str, Any]:
+    return {
+        "block": block.name,
+        "table": block.table.value,
+        "address": block.address,
+        "count": block.count,
+        "points": [
+            {
+                "name": point.name,
+                "offset": point.offset,
+                "type": point.type.value,
+                "scale": None if point.scale is None else str(point.scale),
+                "unit": point.unit,
+            }
+            for point in block.points
+        ],
+    }

@@ -1,0 +1,108 @@
+"""Blocks to requests: neighbours joined, large blocks split, atomic ones left alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
+
+from roclog.modbus.request import ReadRegisters
+from roclog.register_map import MAX_READ_REGISTERS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from roclog.modbus.request import Request
+    from roclog.register_map import Block
+
+_HEADER: Final = 2
+"""Octets of an answer before its data: function and byte count."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Where an answer holds octets of a block: ``start`` to ``stop`` of the answer's PDU."""
+
+    block: int
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True, slots=True)
+class Fetch:
+    """One request, and which octets of its answer belong to which block (by its index)."""
+
+    request: Request
+    parts: tuple[Part, ...]
+
+
+def read_request(block: Block) -> Request:
+    """One request for a whole block."""
+    return ReadRegisters(block.table.read_function, block.address, block.count)
+
+
+def plan_requests(blocks: Sequence[Block]) -> tuple[Fetch, ...]:
+    """The fewest requests that read all blocks once, each block's octets in order.
+
+    Only blocks that are not atomic share a request, and only those that touch: registers that no
+    block names are never read.
+    """
+    numbered = list(enumerate(blocks))
+    fetches = [_whole(index, block) for index, block in numbered if block.atomic]
+    loose = sorted(
+        (pair for pair in numbered if not pair[1].atomic),
+        key=lambda pair: (pair[1].table, pair[1].address),
+    )
+    for _, same_table in groupby(loose, key=lambda pair: pair[1].table):
+        for run in _runs(same_table):
+            fetches += _split(run)
+    return tuple(fetches)
+
+
+def _whole(index: int, block: Block) -> Fetch:
+    return Fetch(read_request(block), (Part(index, _HEADER, _HEADER + 2 * block.count),))
+
+
+def _runs(pairs: Iterable[tuple[int, Block]]) -> list[list[tuple[int, Block]]]:
+    """Blocks of one table, in order of address, cut where one does not touch the next."""
+    runs: list[list[tuple[int, Block]]] = []
+    end = -1
+    for index, block in pairs:
+        if block.address != end:
+            runs.append([])
+        runs[-1].append((index, block))
+        end = block.address + block.count
+    return runs
+
+
+def _split(run: list[tuple[int, Block]]) -> list[Fetch]:
+    """Requests of at most the size of a PDU; a block is cut only where it does not fit into one."""
+    fetches: list[Fetch] = []
+    pieces: list[tuple[int, Block, int, int]] = []
+    room = MAX_READ_REGISTERS
+    for index, block in run:
+        first = 0
+        if block.count > room and block.count <= MAX_READ_REGISTERS:
+            fetches.append(_joined(pieces))
+            pieces, room = [], MAX_READ_REGISTERS
+        while first < block.count:
+            count = min(room, block.count - first)
+            pieces.append((index, block, first, count))
+            first += count
+            room -= count
+            if room == 0:
+                fetches.append(_joined(pieces))
+                pieces, room = [], MAX_READ_REGISTERS
+    return [*fetches, _joined(pieces)] if pieces else fetches
+
+
+def _joined(pieces: list[tuple[int, Block, int, int]]) -> Fetch:
+    _, block, offset, _ = pieces[0]
+    total = sum(count for *_, count in pieces)
+    request = ReadRegisters(block.table.read_function, block.address + offset, total)
+    parts: list[Part] = []
+    at = _HEADER
+    for index, _, _, count in pieces:
+        parts.append(Part(index, at, at + 2 * count))
+        at += 2 * count
+    return Fetch(request, tuple(parts))

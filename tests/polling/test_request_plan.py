@@ -1,0 +1,94 @@
+"""Requests for blocks: everything is read once, nothing else is, and atomic blocks stay whole."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roclog.modbus.request import ReadRegisters
+from roclog.polling.request_plan import plan_requests
+from roclog.register_map import Block, Table
+
+if TYPE_CHECKING:
+    from random import Random
+
+
+def block(
+    address: int, count: int, *, atomic: bool = False, table: Table = Table.HOLDING_REGISTERS
+) -> Block:
+    return Block(
+        name=f"b{address}", table=table, address=address, count=count, points=(), atomic=atomic
+    )
+
+
+def spans(blocks: list[Block]) -> list[tuple[int, int, int]]:
+    """(function, address, count) of every request."""
+    return [
+        (f.request.function, f.request.address, f.request.count)
+        for f in plan_requests(blocks)
+        if isinstance(f.request, ReadRegisters)
+    ]
+
+
+def test_neighbours_share_a_request() -> None:
+    assert spans([block(10, 5), block(0, 10)]) == [(3, 0, 15)]
+
+
+def test_atomic_blocks_and_other_tables_do_not() -> None:
+    blocks = [block(0, 10, atomic=True), block(10, 5), block(15, 1, table=Table.INPUT_REGISTERS)]
+    assert spans(blocks) == [(3, 0, 10), (3, 10, 5), (4, 15, 1)]
+
+
+def test_a_hole_is_not_read() -> None:
+    assert spans([block(0, 10), block(11, 5)]) == [(3, 0, 10), (3, 11, 5)]
+
+
+def test_a_large_block_is_split_at_the_limit_of_an_answer() -> None:
+    assert spans([block(100, 300)]) == [(3, 100, 125), (3, 225, 125), (3, 350, 50)]
+
+
+def test_a_block_that_fits_is_not_cut() -> None:
+    assert spans([block(0, 100), block(100, 50)]) == [(3, 0, 100), (3, 100, 50)]
+
+
+blocks_strategy = st.lists(
+    st.tuples(st.integers(0, 20), st.integers(1, 300), st.booleans(), st.sampled_from(Table)),
+    min_size=1,
+    max_size=8,
+)
+
+
+@given(blocks_strategy, st.randoms(use_true_random=False))
+def test_every_register_arrives_once_and_in_order(
+    shapes: list[tuple[int, int, bool, Table]], random: Random
+) -> None:
+    at = 0
+    blocks = []
+    for gap, count, atomic, table in shapes:
+        if table.read_function < 3:
+            continue  # bits are never joined or split
+        at += gap
+        blocks.append(block(at, min(count, 125) if atomic else count, atomic=atomic, table=table))
+        at += count
+    random.shuffle(blocks)
+    found: dict[int, list[int]] = {}
+    for fetch in plan_requests(blocks):
+        request = fetch.request
+        assert isinstance(request, ReadRegisters)
+        assert fetch.parts[0].start == 2
+        assert fetch.parts[-1].stop == request.answer_size
+        for before, after in zip(fetch.parts, fetch.parts[1:], strict=False):
+            assert before.stop == after.start
+        for part in fetch.parts:
+            here = blocks[part.block]
+            assert request.function == here.table.read_function
+            assert not here.atomic or len(fetch.parts) == 1
+            first = request.address + (part.start - 2) // 2
+            found.setdefault(part.block, []).extend(
+                range(first, first + (part.stop - part.start) // 2)
+            )
+    assert found == {
+        index: list(range(b.address, b.address + b.count)) for index, b in enumerate(blocks)
+    }
