@@ -1,0 +1,243 @@
+"""Blocks read on schedule, over a bus whose other end answers every register with its address."""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from bus_fakes import START, VirtualClock, answer_to, make, now, run
+from wire import rtu_frame
+
+from roclog.bus.tally import Tally
+from roclog.errors import NoAnswer, StorageError
+from roclog.outbox import CommitGroup, Outbox
+from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
+from roclog.register_map import Block, Point, Table, WordOrder, WordType
+from roclog.samples import SampleMaker
+from roclog.schema import GAP, Origin, Reason, read_signature
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from roclog.bus.bus import Bus
+    from roclog.recording.entries import Entry
+
+SECOND = 10**9
+UNIT = 138
+
+
+def block(name: str, address: int, count: int, *, atomic: bool = True) -> Block:
+    point = Point(name="first", offset=0, type=WordType.U16)
+    return Block(
+        name=name,
+        table=Table.HOLDING_REGISTERS,
+        address=address,
+        count=count,
+        points=(point,),
+        atomic=atomic,
+    )
+
+
+@dataclass
+class Disk:
+    """A writer that keeps what it is given in memory. full: it takes nothing."""
+
+    committed: list[Entry] = field(default_factory=list)
+    carried: dict[str, Mapping[str, object]] = field(default_factory=dict)
+    commits: int = 0
+    full: bool = False
+    notes: list[Entry] = field(default_factory=list)
+
+    def commit(self, entries: Sequence[Entry]) -> Future[None]:
+        done: Future[None] = Future()
+        if self.full:
+            done.set_exception(StorageError(Path("/disk"), "full"))
+            return done
+        self.commits += 1
+        self.committed += entries
+        done.set_result(None)
+        return done
+
+    def note(self, entries: Sequence[Entry]) -> Future[None]:
+        self.notes += entries
+        done: Future[None] = Future()
+        done.set_result(None)
+        return done
+
+    def carry(self, topic: str, values: Mapping[str, object]) -> Future[None]:
+        self.carried[topic] = values
+        done: Future[None] = Future()
+        done.set_result(None)
+        return done
+
+    def samples(self, topic: str) -> list[tuple[int, str]]:
+        """(seq, raw) in the order of the disk."""
+        found = []
+        for entry in self.committed:
+            values = read_signature(entry.data) if entry.topic == topic else None
+            if values is not None:
+                assert values["origin"] == Origin.CYCLIC
+                found.append((values["seq"], values["raw"].hex()))
+        return found
+
+    def gaps(self) -> list[tuple[int, int]]:
+        """(reason, expected)."""
+        found = [GAP.unpack(e.data) for e in self.committed if e.topic.endswith("/gap")]
+        return [(gap["reason"], gap["expected"]) for gap in found if gap is not None]
+
+
+def poller(
+    bus: Bus, disk: Disk, *blocks: Block, seq: int = 0, read_until: int = 0
+) -> tuple[CyclicBlocks, CommitGroup]:
+    group = CommitGroup(disk)
+    members = [
+        CyclicBlock(
+            SampleMaker("flow", "registers", b, WordOrder.ABCD, b"e" * 16), SECOND, seq, read_until
+        )
+        for b in blocks
+    ]
+    made = CyclicBlocks(
+        unit=UNIT,
+        bus=bus,
+        tally=Tally(),
+        blocks=members,
+        period=SECOND,
+        outbox=Outbox("flow", disk, VirtualClock(), group),
+    )
+    return made, group
+
+
+def test_neighbours_share_a_request_and_each_gets_its_own_sample() -> None:
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        disk = Disk()
+        blocks, group = poller(
+            bus, disk, block("a", 100, 2, atomic=False), block("b", 102, 1, atomic=False)
+        )
+        await blocks.turn(now())
+        await group.finish()
+        assert [adu[2:6].hex() for _, adu in link.sent] == ["00640003"]
+        assert disk.samples("/flow/a") == [(1, "00640065")]
+        assert disk.samples("/flow/b") == [(1, "0066")]
+        assert blocks.samples == 2
+
+    run(main())
+
+
+def test_a_block_larger_than_an_answer_is_one_sample() -> None:
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        disk = Disk()
+        blocks, group = poller(bus, disk, block("a", 0, 200, atomic=False))
+        await blocks.turn(now())
+        await group.finish()
+        assert len(link.sent) == 2
+        expected = b"".join(n.to_bytes(2) for n in range(200)).hex()
+        assert disk.samples("/flow/a") == [(1, expected)]
+
+    run(main())
+
+
+def test_a_refused_block_keeps_no_other_from_being_read() -> None:
+    async def main() -> None:
+        link, bus = make()
+        refusal = rtu_frame(UNIT, b"\x83\x02")
+        link.on_send = lambda adu: link.say(refusal if adu[3] == 100 else answer_to(adu))
+        disk = Disk()
+        blocks, group = poller(bus, disk, block("a", 100, 1), block("b", 200, 1))
+        for _ in range(3):
+            await blocks.turn(now())
+            await asyncio.sleep(1)
+        await group.finish()
+        assert disk.samples("/flow/a") == []
+        assert [seq for seq, _ in disk.samples("/flow/b")] == [1, 2, 3]
+        assert len(disk.notes) == 1  # told once, asked every time
+        assert sum(adu[3] == 100 for _, adu in link.sent) == 3
+
+    run(main())
+
+
+def test_reads_that_failed_are_a_gap_with_their_number() -> None:
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        disk = Disk()
+        blocks, group = poller(bus, disk, block("a", 100, 1))
+        await blocks.turn(now())
+        link.on_send = None
+        for _ in range(3):
+            await asyncio.sleep((START + SECOND - now()) % SECOND / SECOND)
+            with pytest.raises(NoAnswer):
+                await blocks.turn(now())
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        await asyncio.sleep((START + SECOND - now()) % SECOND / SECOND)
+        before = now()
+        await blocks.turn(before)
+        await group.finish()
+        assert disk.gaps() == [(Reason.UNREAD, round((before - START) / SECOND) - 1)]
+        assert [seq for seq, _ in disk.samples("/flow/a")] == [1, 2]
+
+    run(main())
+
+
+def test_the_time_between_two_runs_is_a_gap_before_the_first_sample() -> None:
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        disk = Disk()
+        until = VirtualClock().now().utc - 5 * SECOND
+        blocks, group = poller(bus, disk, block("a", 100, 1), seq=41, read_until=until)
+        await blocks.turn(now())
+        await group.finish()
+        assert disk.gaps() == [(Reason.DOWNTIME, 5)]
+        assert disk.committed[0].topic == "/flow/gap"
+        assert disk.samples("/flow/a") == [(42, "0064")]
+        blocks.close()
+        assert disk.carried["/flow/a"]["seq"] == 42
+
+    run(main())
+
+
+def test_a_full_disk_costs_nothing_until_a_thousand_wait_then_says_how_many() -> None:
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        disk = Disk(full=True)
+        blocks, group = poller(bus, disk, block("a", 100, 1))
+        for _ in range(1010):
+            await blocks.turn(now())
+            await group.finish()
+            await asyncio.sleep((START - now()) % SECOND / SECOND)
+        disk.full = False
+        for _ in range(2):
+            await blocks.turn(now())
+            await group.finish()
+            await asyncio.sleep((START - now()) % SECOND / SECOND)
+        numbers = [seq for seq, _ in disk.samples("/flow/a")]
+        lost = [expected for reason, expected in disk.gaps() if reason == Reason.STORAGE]
+        assert len(numbers) == len(set(numbers))
+        assert numbers == sorted(numbers)
+        assert len(numbers) + sum(lost) == blocks.samples == 1012
+
+    run(main())
+
+
+def test_one_commit_for_all_devices() -> None:
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        disk = Disk()
+        blocks, group = poller(bus, disk, block("a", 100, 1))
+        for _ in range(5):
+            await blocks.turn(now())
+        await group.finish()
+        assert disk.commits == 1
+        assert len(disk.samples("/flow/a")) == 5
+
+    run(main())
