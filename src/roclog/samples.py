@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from roclog.decode import Decoded, Value, decode, named_values, word_order_doubts
 from roclog.recording.entries import Entry
 from roclog.schema import CLEAR, GAP, LINK, ClearResult, Origin, Reason, sample_type
+from roclog.triggers import Known, judge
 from roclog.word_types import block_octets, block_words
 
 if TYPE_CHECKING:
@@ -57,7 +58,13 @@ class SampleMaker:
         self.order = order
 
     def decode(self, reading: Reading) -> Decoded:
-        return decode(self.block, reading.words, self.order, reading.read.utc)
+        return decode(
+            self.block,
+            reading.words,
+            self.order,
+            read_at=reading.read.utc,
+            changed_after=reading.previous or None,
+        )
 
     def values(self, reading: Reading) -> dict[str, Value | None]:
         """The fields of the block by name; None where the measurement is missing."""
@@ -75,6 +82,13 @@ class SampleMaker:
     def words(self, octets: bytes) -> tuple[int, ...]:
         """The words of the block from its octets as on the wire."""
         return block_words(self.block, octets)
+
+    def known(self, seq: int, raw: bytes) -> Known:
+        """What the trigger knows after sample ``seq``; raw: its octets, empty where not kept."""
+        if self.block.trigger is None or len(raw) != self.size:
+            return Known(seq)
+        known, _ = judge(self.block, Known(), self.words(raw), self.order)
+        return replace(known, seq=seq)
 
     def sample(self, news: News, reading: Reading, memory: Memory) -> Entry:
         """The message of a flagged sample. ``memory`` is what holds once it is on disk."""

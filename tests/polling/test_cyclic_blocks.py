@@ -19,6 +19,7 @@ from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
 from roclog.register_map import Block, Point, Table, WordOrder, WordType
 from roclog.samples import SampleMaker
 from roclog.schema import GAP, Origin, Reason, read_signature
+from roclog.triggers import Known
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -96,7 +97,7 @@ def poller(
     group = CommitGroup(disk)
     members = [
         CyclicBlock(
-            SampleMaker("flow", "registers", b, WordOrder.ABCD, b"e" * 16), SECOND, seq, read_until
+            SampleMaker("flow", "registers", b, WordOrder.ABCD, b"e" * 16), SECOND, Known(seq), read_until
         )
         for b in blocks
     ]

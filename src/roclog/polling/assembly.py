@@ -93,9 +93,9 @@ class Assembly:
     ) -> CyclicBlocks:
         members = []
         for block in blocks:
-            epoch, seq, read_until = self._resume(device, block, lambda c: int(str(c["seq"])), 0)
+            epoch, last, read_until = self._resume(device, block, _last_sample, (0, b""))
             maker = SampleMaker(device.name, device.profile.name, block, device.word_order, epoch)
-            members.append(CyclicBlock(maker, period, seq, read_until))
+            members.append(CyclicBlock(maker, period, maker.known(*last), read_until))
         return CyclicBlocks(
             unit=device.unit,
             bus=bus,
@@ -120,6 +120,11 @@ class Assembly:
                 "%s: what is left of the last run is no use (%r), a new epoch begins", topic, error
             )
             return uuid.uuid4().bytes, fresh, 0
+
+
+def _last_sample(carry: Carried) -> tuple[int, bytes]:
+    """Its number and, where a trigger compares with it, its octets."""
+    return int(str(carry["seq"])), bytes.fromhex(str(carry.get("raw", "")))
 
 
 def _recover(carry: Carried) -> Memory:

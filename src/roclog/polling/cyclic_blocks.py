@@ -5,58 +5,108 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from roclog.errors import ExceptionAnswer
+from roclog.modbus.request import ReadRegisters, words
 from roclog.polling.request_plan import plan_requests
+from roclog.register_map import Counter
 from roclog.samples import Reading
-from roclog.schema import Origin, Reason
+from roclog.schema import Reason
+from roclog.triggers import Known, is_raised, judge
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from roclog.bus.bus import Bus
+    from roclog.bus.bus import Answer, Bus
     from roclog.bus.tally import Tally
     from roclog.clock import Instant
     from roclog.outbox import Outbox
+    from roclog.polling.request_plan import Fetch
+    from roclog.recording.entries import Entry
+    from roclog.register_map import ClearOnRead
     from roclog.samples import SampleMaker
+    from roclog.triggers import Finding, Note
 
 
 class CyclicBlock:
-    """Numbers the samples of one block, and counts the reads between them that failed.
+    """Judges the reads of one block, numbers its samples and counts what was missed between them.
 
-    period: nanoseconds between reads. seq: of the last sample of an earlier run.
+    period: nanoseconds between reads. known: what earlier runs leave.
     read_until: UTC ns at which an earlier run last read the block, 0 = never.
     """
 
-    def __init__(self, maker: SampleMaker, period: int, seq: int = 0, read_until: int = 0) -> None:
+    def __init__(
+        self, maker: SampleMaker, period: int, known: Known | None = None, read_until: int = 0
+    ) -> None:
         self.maker = maker
-        self.seq = seq
         self._period = period
+        self._known = known or Known()
         self._read_until = read_until
         self._last: Instant | None = None
+        self._raw = b""
+        self._told: Note | None = None
 
-    def take(self, words: tuple[int, ...], asked: Instant, read: Instant, outbox: Outbox) -> None:
-        """One read: what was missed before it, then its sample."""
-        last = self._last
-        if last is not None:
-            missed = (read.monotonic - last.monotonic + self._period // 2) // self._period - 1
-            if missed > 0:
-                since = read.utc - (read.monotonic - last.monotonic)
-                outbox.add(self.maker.gap(since, read.utc, missed, Reason.UNREAD, read.utc))
-        elif self._read_until:
-            since = min(self._read_until, read.utc)
-            missed = (read.utc - since) // self._period
-            outbox.add(self.maker.gap(since, read.utc, missed, Reason.DOWNTIME, read.utc))
-        self._last = read
-        self.seq += 1
-        reading = Reading(words, asked, read, last.utc if last is not None else 0)
-        outbox.add(self.maker.message(reading, self.seq, Origin.CYCLIC, self._carry(read)))
+    @property
+    def seq(self) -> int:
+        """Number of the last sample."""
+        return self._known.seq
+
+    def take(self, octets: bytes, answer: Answer, asked: Instant, outbox: Outbox) -> None:
+        """One read. asked: of its first request, where several were needed."""
+        last, self._last = self._last, answer.read
+        words = self.maker.words(octets)
+        self._known, finding = judge(self.maker.block, self._known, words, self.maker.order)
+        self._tell_missed(finding, last, answer.read, outbox)
+        if finding.note is not self._told:
+            self._told = finding.note
+            if finding.note is not None:
+                outbox.event(
+                    "warning", "counter", f"{finding.note.name.lower()}: {octets.hex(' ')}"
+                )
+        if finding.origin is not None:
+            self._raw = octets
+            reading = Reading(words, asked, answer.read, last.utc if last is not None else 0)
+            carry = self._carry(answer.read)
+            outbox.add(self.maker.message(reading, self.seq, finding.origin, carry))
 
     def close(self, outbox: Outbox) -> None:
         """Let the next run know until when this one has read."""
         if self._last is not None:
             outbox.checkpoint(self.maker.topic, self._carry(self._last))
 
+    def _tell_missed(
+        self, finding: Finding, last: Instant | None, read: Instant, outbox: Outbox
+    ) -> None:
+        """Before the sample. Where the device numbers its samples, it tells; else time does."""
+        since = read.utc - (read.monotonic - last.monotonic) if last is not None else 0
+        counts = isinstance(self.maker.block.trigger, Counter)
+        if finding.missed:
+            start = since or self._read_until or read.utc
+            gap = self.maker.gap(
+                min(start, read.utc),
+                read.utc,
+                finding.missed,
+                Reason.OVERWRITTEN if last is not None else Reason.DOWNTIME,
+                read.utc,
+                possible=finding.possible,
+            )
+            outbox.add(gap)
+        if last is not None:
+            unread = (read.utc - since + self._period // 2) // self._period - 1
+            if unread > 0 and not counts:
+                outbox.add(self._unread(since, read.utc, unread, Reason.UNREAD))
+        elif self._read_until and not counts:
+            since = min(self._read_until, read.utc)
+            unread = (read.utc - since) // self._period
+            outbox.add(self._unread(since, read.utc, unread, Reason.DOWNTIME))
+
+    def _unread(self, since: int, until: int, count: int, reason: Reason) -> Entry:
+        """Every read is a sample, or how many samples there were between two reads is not known."""
+        if self.maker.block.trigger is None:
+            return self.maker.gap(since, until, count, reason, until)
+        return self.maker.gap(since, until, 0, reason, until, possible=True)
+
     def _carry(self, read: Instant) -> Mapping[str, object]:
-        return {"epoch": self.maker.epoch.hex(), "seq": self.seq, "read_at": read.utc}
+        carry = {"epoch": self.maker.epoch.hex(), "seq": self.seq, "read_at": read.utc}
+        return carry if self.maker.block.trigger is None else {**carry, "raw": self._raw.hex()}
 
 
 class CyclicBlocks:
@@ -79,6 +129,7 @@ class CyclicBlocks:
         self._tally = tally
         self._blocks = blocks
         self._plan = plan_requests([block.maker.block for block in blocks])
+        self._halves: dict[int, tuple[Instant, bytes]] = {}
         self._refused: set[int] = set()
 
     @property
@@ -92,28 +143,35 @@ class CyclicBlocks:
             DeviceError: no answer, or a wrong one; the blocks read before it are kept.
         """
         self._tell_given_up()
-        octets: dict[int, bytes] = {}
-        asked: dict[int, Instant] = {}
+        self._halves.clear()
         try:
             for number, fetch in enumerate(self._plan):
                 try:
-                    answer = await self._bus.transact(
-                        self._unit, fetch.request, self._tally, due=due
-                    )
+                    await self._fetch(fetch, due)
                 except ExceptionAnswer as refusal:
                     self._tell_refusal(number, refusal)
-                    continue
-                self._tell_acceptance(number)
-                for part in fetch.parts:
-                    block = self._blocks[part.block]
-                    first = asked.setdefault(part.block, answer.asked)
-                    data = octets.get(part.block, b"") + answer.pdu[part.start : part.stop]
-                    octets[part.block] = data
-                    if len(data) == block.maker.size:
-                        words = block.maker.words(data)
-                        block.take(words, first, answer.read, self.outbox)
+                else:
+                    self._tell_acceptance(number)
         finally:
             self.outbox.flush_soon()
+
+    async def _fetch(self, fetch: Fetch, due: int) -> None:
+        if fetch.gate is not None and not await self._is_raised(fetch.gate, due):
+            return
+        answer = await self._bus.transact(self._unit, fetch.request, self._tally, due=due)
+        for part in fetch.parts:
+            block = self._blocks[part.block]
+            asked, octets = self._halves.get(part.block, (answer.asked, b""))
+            octets += answer.pdu[part.start : part.stop]
+            self._halves[part.block] = asked, octets
+            if len(octets) == block.maker.size:
+                block.take(octets, answer, asked, self.outbox)
+
+    async def _is_raised(self, gate: ClearOnRead, due: int) -> bool:
+        """Whether a flag that lies outside its block says that the block is to be read."""
+        request = ReadRegisters(gate.table.read_function, gate.address, 1)
+        answer = await self._bus.transact(self._unit, request, self._tally, due=due)
+        return is_raised(gate, words(answer.pdu)[0])
 
     def close(self) -> None:
         for block in self._blocks:

@@ -6,8 +6,8 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from roclog.decode import Value, decode, field_names
-from roclog.modbus.request import words
 from roclog.polling.request_plan import read_request
+from roclog.word_types import block_words
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
@@ -23,7 +23,7 @@ async def read_facts(block: Block, device: Device, bus: Bus, tally: Tally) -> di
         DeviceError: as Bus.transact.
     """
     answer = await bus.transact(device.unit, read_request(block), tally)
-    decoded = decode(block, words(answer.pdu), device.word_order)
+    decoded = decode(block, block_words(block, answer.pdu[2:]), device.word_order)
     return dict(zip(field_names(block), decoded.values, strict=True))
 
 

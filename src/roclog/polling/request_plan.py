@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
+from roclog.modbus.bits import ReadBits
 from roclog.modbus.request import ReadRegisters
-from roclog.register_map import MAX_READ_REGISTERS
+from roclog.register_map import MAX_READ_REGISTERS, ClearOnRead
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -30,15 +31,20 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Fetch:
-    """One request, and which octets of its answer belong to which block (by its index)."""
+    """One request, and which octets of its answer belong to which block (by its index).
+
+    gate: a flag outside the block that says whether it is to be read at all.
+    """
 
     request: Request
     parts: tuple[Part, ...]
+    gate: ClearOnRead | None = None
 
 
 def read_request(block: Block) -> Request:
     """One request for a whole block."""
-    return ReadRegisters(block.table.read_function, block.address, block.count)
+    kind = ReadBits if block.table.has_bits else ReadRegisters
+    return kind(block.table.read_function, block.address, block.count)
 
 
 def plan_requests(blocks: Sequence[Block]) -> tuple[Fetch, ...]:
@@ -48,9 +54,9 @@ def plan_requests(blocks: Sequence[Block]) -> tuple[Fetch, ...]:
     block names are never read.
     """
     numbered = list(enumerate(blocks))
-    fetches = [_whole(index, block) for index, block in numbered if block.atomic]
+    fetches = [_whole(*pair) for pair in numbered if _is_whole(pair[1])]
     loose = sorted(
-        (pair for pair in numbered if not pair[1].atomic),
+        (pair for pair in numbered if not _is_whole(pair[1])),
         key=lambda pair: (pair[1].table, pair[1].address),
     )
     for _, same_table in groupby(loose, key=lambda pair: pair[1].table):
@@ -59,8 +65,16 @@ def plan_requests(blocks: Sequence[Block]) -> tuple[Fetch, ...]:
     return tuple(fetches)
 
 
+def _is_whole(block: Block) -> bool:
+    """Bits share octets, and so no request; a read that clears is asked for by name."""
+    return block.atomic or block.table.has_bits or isinstance(block.trigger, ClearOnRead)
+
+
 def _whole(index: int, block: Block) -> Fetch:
-    return Fetch(read_request(block), (Part(index, _HEADER, _HEADER + 2 * block.count),))
+    gate = block.trigger if isinstance(block.trigger, ClearOnRead) else None
+    if gate is not None and gate.offset_in(block) is not None:
+        gate = None
+    return Fetch(read_request(block), (Part(index, _HEADER, _HEADER + block.octets),), gate)
 
 
 def _runs(pairs: Iterable[tuple[int, Block]]) -> list[list[tuple[int, Block]]]:

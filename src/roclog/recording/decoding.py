@@ -12,7 +12,17 @@ from roclog.decode import TimeFlag
 from roclog.recording.dedupe import digest
 from roclog.recording.protobuf import UndecodableError, nanoseconds
 from roclog.recording.records import Channel, Clear, Event, Gap, Link, Record, Sample
-from roclog.schema import CLEAR, GAP, LINK, RAW_NUMBER, SIGNATURE, ClearResult, Origin, Reason
+from roclog.schema import (
+    CLEAR,
+    GAP,
+    LINK,
+    MISSING,
+    RAW_NUMBER,
+    SIGNATURE,
+    ClearResult,
+    Origin,
+    Reason,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -45,6 +55,7 @@ _SAMPLE_FIELDS: Final = (
     ("raw", RAW_NUMBER, FieldDescriptor.TYPE_BYTES),
 )
 _COMMON: Final = frozenset(name for name, _, _ in _SAMPLE_FIELDS)
+_MISSING: Final = _described([MISSING])
 _KINDS: Final = {
     GAP.name: ("gap", _described(GAP.fields[:4])),
     CLEAR.name: ("clear", _described(CLEAR.fields[:7])),
@@ -77,9 +88,9 @@ class ChannelDecoder:
                 problem = str(error)
         self.channel = self._facts(record, schema.name if schema is not None else "", problem)
         self._has_possible = "possible" in self.channel.fields
-        self._decode = self._decoder()
         points = record.metadata.get("points")
         self._points = points.split(",") if points else []
+        self._decode = self._decoder()
         self._ranges = _payload_ranges(record.metadata.get("payload"))
 
     def decode(self, message: Message) -> Record | None:
@@ -108,6 +119,8 @@ class ChannelDecoder:
             self.has_key = kind == "sample" and self._reader.has(_SAMPLE_FIELDS)
             if self.has_key:
                 names = tuple(name for name in names if name not in _COMMON)
+                if self._reader.has(_MISSING):
+                    names = tuple(name for name in names if name != MISSING.name)
         metadata = record.metadata
         unit = "unit."
         return Channel(
@@ -146,7 +159,18 @@ class ChannelDecoder:
             return self._foreign
         self._names = self.channel.fields
         self._get = attrgetter("seq", "raw", *self._names)
-        return self._sample
+        self._of_point = _fields_of_points(self._points, self._names)
+        has_missing = self._reader is not None and self._reader.has(_MISSING)
+        return self._sample_with_missing if has_missing else self._sample
+
+    def _sample_with_missing(self, message: Message, m: Any) -> Sample:
+        sample = self._sample(message, m)
+        mask = m.missing
+        if mask:
+            for index, names in enumerate(self._of_point):
+                if mask >> index & 1:
+                    sample.values.update(dict.fromkeys(names))
+        return sample
 
     def _sample(self, message: Message, m: Any) -> Sample:
         seq, raw, *values = self._get(m)
@@ -273,3 +297,10 @@ def _payload_ranges(text: str | None) -> list[tuple[int, int]] | None:
         return None
     good = pairs and all(isinstance(n, int) and 0 <= n < 2**16 for pair in pairs for n in pair)
     return pairs if good else None
+
+
+def _fields_of_points(points: list[str], names: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """The fields of each point: its own, and those of its bits and parts, which follow it."""
+    starts = [names.index(point) if point in names else len(names) for point in points]
+    ends = [*starts[1:], len(names)]
+    return [names[start:end] for start, end in zip(starts, ends, strict=True)]

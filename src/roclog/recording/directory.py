@@ -183,16 +183,17 @@ def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:
         if clear is not None and entry is not None and clear["result"] == ClearResult.DONE:
             entry["cleared"] = entry["cleared"] or clear["seq"] == entry["seq"]
         return
-    payload_words = channel.metadata.get("payload")
-    sample = read_signature(data) if payload_words is not None else None
-    if sample is None or payload_words is None:
+    sample = read_signature(data)
+    if sample is None:
         return
     raw = sample["raw"]
-    ranges = json.loads(payload_words)
-    carry[channel.topic] = {
-        "epoch": sample["epoch"].hex(),
-        "seq": sample["seq"],
-        "payload": b"".join(raw[2 * a : 2 * (a + n)] for a, n in ranges).hex(),
-        "cleared": sample["origin"] != Origin.FLAG,
-        "read_at": sample["previous_read_at"] or sample["read_at"],
-    }
+    entry = {"epoch": sample["epoch"].hex(), "seq": sample["seq"], "read_at": sample["read_at"]}
+    payload_words = channel.metadata.get("payload")
+    if payload_words is not None:
+        ranges = json.loads(payload_words)
+        entry["payload"] = b"".join(raw[2 * a : 2 * (a + n)] for a, n in ranges).hex()
+        entry["cleared"] = sample["origin"] != Origin.FLAG
+        entry["read_at"] = sample["previous_read_at"] or sample["read_at"]
+    elif "trigger" in channel.metadata:
+        entry["raw"] = raw.hex()
+    carry[channel.topic] = entry

@@ -51,8 +51,10 @@ def block_channel(device: str, profile: str, block: Block, kind: MessageType) ->
     metadata = {"device": device, "block": block.name, "profile": profile}
     metadata["points"] = ",".join(point.name for point in block.points)
     metadata |= {f"unit.{point.name}": point.unit for point in block.points if point.unit}
-    if block.trigger is not None:
-        metadata["payload"] = json.dumps(block.trigger.payload)
+    if block.handshake is not None:
+        metadata["payload"] = json.dumps(block.handshake.payload)
+    elif block.trigger is not None:
+        metadata["trigger"] = type(block.trigger).__name__
     return ChannelInfo(f"/{device}/{block.name}", kind.name, kind.descriptor_set, metadata)
 
 
