@@ -201,21 +201,21 @@ def swapped(words: list[int]) -> list[int]:
     return result
 
 
-@pytest.mark.parametrize("order", WordOrder)
+@pytest.mark.parametrize("order", [WordOrder.ABCD, WordOrder.CDAB])
 def test_the_right_word_order_raises_no_doubt(order: WordOrder) -> None:
     words = CLEAN if order is WordOrder.ABCD else swapped(CLEAN)
     assert word_order_doubts(SAMPLE, words, order) == []
     assert word_order_doubts(SAMPLE, [0] * 27, order) == []
 
 
-@pytest.mark.parametrize("order", WordOrder)
+@pytest.mark.parametrize("order", [WordOrder.ABCD, WordOrder.CDAB])
 def test_the_wrong_word_order_raises_doubts(order: WordOrder) -> None:
     words = swapped(CLEAN) if order is WordOrder.ABCD else list(CLEAN)
     doubts = word_order_doubts(SAMPLE, words, order)
     assert any(doubt.startswith("count_1 is ") and "documented" in doubt for doubt in doubts)
 
 
-@pytest.mark.parametrize("order", WordOrder)
+@pytest.mark.parametrize("order", [WordOrder.ABCD, WordOrder.CDAB])
 def test_alarms_alone_betray_the_word_order(order: WordOrder) -> None:
     words = [0] * 27
     words[7 if order is WordOrder.ABCD else 6] = 320
@@ -243,13 +243,13 @@ def test_any_words_decode_and_can_be_recorded(words: list[int], order: WordOrder
     assert 0 <= decoded.device_time < 2**63
     kind = sample_type("hiac-roc", SAMPLE)
     signature = (1, bytes(16), 1, False, 0, 0, 0, 0, decoded.device_time, decoded.time_flags)
-    kind.pack(iter((*signature, decoded.doubtful, bytes(54), *decoded.values)))
+    kind.pack(iter((*signature, decoded.doubtful, bytes(54), 0, *decoded.values)))
 
 
 @PROPERTY
-@given(st.sampled_from(WordType), st.lists(word, min_size=2, max_size=2), st.booleans())
+@given(st.sampled_from(WordType), st.lists(word, min_size=4, max_size=4), st.booleans())
 def test_any_words_of_any_type_decode(type_: WordType, words: list[int], scale: object) -> None:
-    size = 2 if type_ in (WordType.U32, WordType.TEXT) else 1
+    size = 2 if type_ is WordType.TEXT else type_.words
     scales = Decimal("1e30") if scale else None
     point = Point(name="p", offset=0, type=type_, words=2, scale=scales)
     one(point, *words[:size])

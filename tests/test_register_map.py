@@ -10,6 +10,7 @@ import pytest
 
 from roclog.devices import PROFILES
 from roclog.errors import RegisterMapError
+from roclog.point_check import RESERVED_NAMES
 from roclog.register_map import (
     Block,
     FlagAndClear,
@@ -18,11 +19,12 @@ from roclog.register_map import (
     SerialDefaults,
     SplitCalendar,
     Table,
+    UnixSeconds,
     WordType,
     camel_case,
 )
-from roclog.register_map_check import RESERVED_NAMES, check_register_map
-from roclog.schema import SIGNATURE
+from roclog.register_map_check import check_register_map
+from roclog.schema import MISSING, SIGNATURE, sample_type
 
 U16, U32, TEXT = WordType.U16, WordType.U32, WordType.TEXT
 MM_SS = WordType.MINUTES_SECONDS
@@ -223,6 +225,44 @@ MISTAKES = {
     "no payload": (device(flagged(payload=())), "payload: empty"),
     "payload of nothing": (device(flagged(payload=((2, 0),))), "payload: 0 words from offset 2"),
     "payload outside": (device(flagged(payload=((5, 6),))), "payload: offset 10 is outside"),
+    "coils of words": (device(block(table=Table.COILS)), "uint16 is not a type of coils"),
+    "too many coils": (
+        device(block(point(type_=WordType.BIT), table=Table.COILS, count=2001)),
+        "count 2001 is not 1 to 2000 bits",
+    ),
+    "block beyond a sample": (
+        device(block(count=8001, atomic=False, address=0)),
+        "count 8001 is not 1 to 8000 registers",
+    ),
+    "period of nothing": (device(block(period=0)), "period: 0 ns is not more than nothing"),
+    "message name": (device(block(message="A b")), "message 'A b' must be lower case"),
+    "message of two forms": (
+        device(block(message="m"), block(point("other"), name="other", message="m")),
+        "block other: the message m of tank has other fields",
+    ),
+    "part of nothing": (
+        device(block(point(parts=((4, 0, "mode"),)))),
+        "mode: bits 4 to 3 are not 1 to 32 of 16",
+    ),
+    "part and bit": (
+        device(block(point(bits=((4, "b"),), parts=((4, 2, "mode"),)))),
+        "bit 4: named twice",
+    ),
+    "too many that can be missing": (
+        device(many(point("last", 64, WordType.BCD16))),
+        "only the first 64 points of a block can have a range or be missing",
+    ),
+    "cycle that can be missing": (
+        device(
+            facts=(block(point("period", 0, WordType.BCD16, unit="s"), name="setup"),),
+            cycle=("setup", ("period",)),
+        ),
+        "cycle: setup.period can be missing",
+    ),
+    "time among coils": (
+        device(block(point(type_=WordType.BIT), table=Table.COILS, time=UnixSeconds(offset=0))),
+        "time: bits hold no time",
+    ),
     "payload with the flag": (device(flagged(payload=((8, 2),))), "payload: contains the flag"),
 }
 
@@ -257,7 +297,8 @@ def test_a_map_without_mistakes() -> None:
 
 
 def test_no_field_of_a_sample_can_be_hidden_by_a_point() -> None:
-    assert {field.name for field in SIGNATURE} | {"raw"} <= RESERVED_NAMES
+    own = [field for field in sample_type("x", block()).fields if field.number < 16]
+    assert {field.name for field in (*SIGNATURE, MISSING, *own)} <= RESERVED_NAMES
 
 
 def test_blocks_by_name() -> None:
@@ -269,6 +310,8 @@ def test_blocks_by_name() -> None:
 
 
 def test_tables_and_their_functions() -> None:
+    assert (Table.COILS.read_function, Table.DISCRETE_INPUTS.read_function) == (1, 2)
+    assert [table.has_bits for table in Table] == [True, True, False, False]
     assert Table.HOLDING_REGISTERS.read_function == 3
     assert Table.INPUT_REGISTERS.read_function == 4
 

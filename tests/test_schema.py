@@ -20,6 +20,7 @@ from roclog.schema import (
     CLEAR,
     GAP,
     LINK,
+    MISSING,
     SIGNATURE,
     Field,
     Kind,
@@ -129,7 +130,7 @@ def test_the_raw_octets_of_blocks_of_any_size(count: int) -> None:
     kind = sample_type("x", block)
     raw = bytes(index & 0xFF for index in range(2 * count))
     values = [bytes(16) if field.name == "epoch" else 0 for field in SIGNATURE]
-    packed = kind.pack(iter([*values, raw, 7]))
+    packed = kind.pack(iter([*values, raw, 1, 7]))
     assert runtime(kind).FromString(packed).raw == raw  # type: ignore[attr-defined]
     found = read_signature(packed)
     assert found is not None
@@ -264,6 +265,44 @@ def test_kinds_of_points() -> None:
         ("f", 21, Kind.BOOL, ""),
         ("g", 22, Kind.UINT32, "s"),
     ]
+
+
+def test_kinds_of_wide_points() -> None:
+    kinds = {
+        WordType.S32: Kind.INT32,
+        WordType.U64: Kind.UINT64,
+        WordType.S64: Kind.INT64,
+        WordType.F32: Kind.FLOAT,
+        WordType.F64: Kind.DOUBLE,
+        WordType.BCD16: Kind.UINT32,
+        WordType.BCD64: Kind.UINT64,
+        WordType.BIT: Kind.BOOL,
+    }
+    for type_, kind in kinds.items():
+        point = Point(name="p", offset=0, type=type_)
+        block = Block(name="b", table=Table.COILS, address=0, count=4, points=(point,))
+        assert block_fields(block)[0].kind is kind, type_
+        added = replace(block, points=(replace(point, add=Decimal(1)),))
+        assert block_fields(added)[0].kind is Kind.DOUBLE
+
+
+def test_parts_of_a_word_follow_its_bits() -> None:
+    point = Point(name="p", offset=0, type=WordType.U32, bits=((0, "on"),), parts=((4, 3, "mode"),))
+    block = Block(name="b", table=Table.INPUT_REGISTERS, address=0, count=2, points=(point,))
+    assert [(f.name, f.kind) for f in block_fields(block)] == [
+        ("p", Kind.UINT32),
+        ("on", Kind.BOOL),
+        ("mode", Kind.UINT32),
+    ]
+
+
+def test_only_what_can_be_missing_has_a_mask() -> None:
+    plain = Point(name="p", offset=0, type=WordType.U16)
+    block = Block(name="b", table=Table.INPUT_REGISTERS, address=0, count=1, points=(plain,))
+    assert MISSING not in sample_type("x", block).fields
+    digits = replace(block, points=(replace(plain, type=WordType.BCD16),))
+    assert MISSING in sample_type("x", digits).fields
+    assert (MISSING.name, MISSING.number, MISSING.kind) == ("missing", 13, Kind.UINT64)
 
 
 def test_names_of_message_types() -> None:

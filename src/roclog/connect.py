@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from roclog.bus.bus import Bus, Framing, Timing
+from roclog.bus.bus import Bus
 from roclog.bus.serial_driver import Rs485
 from roclog.bus.serial_port import SerialLink
 from roclog.bus.tcp import TcpLink
+from roclog.bus.timing import Framing, Timing
 from roclog.bus.udp import UdpLink
 from roclog.register_map import FlagAndClear
 

@@ -10,7 +10,7 @@ from roclog.errors import StorageError
 from roclog.recording.entries import Entry, log_entry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from concurrent.futures import Future
 
     from roclog.clock import Clock
@@ -34,6 +34,7 @@ class Outbox:
     """Messages of one device. ``add`` what must be durable, then ``flush`` or ``flush_soon``.
 
     group: commits for all devices together what none of them waits for.
+    on_give_up: called with each message that the disk did not take in time.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class Outbox:
         self._in_flight: list[Entry] = []
         self._given_up: tuple[int, int, int] | None = None
         self._failing = False
+        self.on_give_up: Callable[[Entry], None] | None = None
 
     @property
     def empty(self) -> bool:
@@ -118,6 +120,8 @@ class Outbox:
     def _give_up_oldest(self) -> None:
         samples = (n for n, waiting in enumerate(self._waiting) if waiting.carry is not None)
         oldest = self._waiting.pop(next(samples, 0))
+        if self.on_give_up is not None:
+            self.on_give_up(oldest)
         first, count = self._given_up[0::2] if self._given_up else (oldest.log_time, 0)
         self._given_up = (first, oldest.log_time, count + 1)
 

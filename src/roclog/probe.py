@@ -10,8 +10,8 @@ from roclog.bus.tally import Tally
 from roclog.connect import make_bus
 from roclog.decode import Decoded, decode
 from roclog.errors import DeviceError
-from roclog.modbus.request import words
 from roclog.polling.request_plan import read_request
+from roclog.word_types import block_words
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
@@ -83,5 +83,5 @@ async def _read(bus: Bus, device: Device, block: Block) -> BlockRead:
         answer = await bus.transact(device.unit, read_request(block), Tally())
     except DeviceError as error:
         return BlockRead(block, (), None, str(error))
-    registers = words(answer.pdu)
+    registers = block_words(block, answer.pdu[2:])
     return BlockRead(block, registers, decode(block, registers, device.word_order))

@@ -11,6 +11,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
+from roclog.modbus.dialect import STANDARD, Dialect
+from roclog.modbus.request import Mei
+from roclog.modbus.stamped import Layout
+
 if TYPE_CHECKING:
     from decimal import Decimal
 
@@ -252,12 +256,13 @@ Trigger = FlagAndClear | ClearOnRead | Counter | Change
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplitCalendar:
-    """Device time in calendar words, UTC; all of them zero means no time.
+    """Device time in calendar words; all of them zero means no time.
 
     Each is an offset. A name of two parts is one word with the first in its upper octet and the
     second in its lower. millisecond: of the second. millisecond_of_minute: 0 to 59999, seconds
     included. Year, month, day and hour must be given, each once; what else is not there is 0.
     year_base: added to the year, like 2000 where it has two digits.
+    zone: in which the device's clock runs: "UTC", an offset like "+01:00", or an IANA name.
     """
 
     year: int | None = None
@@ -274,6 +279,7 @@ class SplitCalendar:
     day_hour: int | None = None
     hour_minute: int | None = None
     year_base: int = 0
+    zone: str = "UTC"
 
     @property
     def words(self) -> tuple[tuple[str, int], ...]:
@@ -314,19 +320,27 @@ class SecondsMicroseconds:
 class Cp56:
     """IEC 60870-5-4 CP56Time2a: seven octets in four registers, the last octet unused.
 
-    word_order: octets follow each other upper octet first; BADC has the lower octet first.
+    word_order: octets follow each other upper octet first (ABCD); with BADC lower octet first. DCBA
+    is the form of four registers in which the year comes first and the milliseconds last.
+    zone: as of SplitCalendar; the summer time bit is honoured.
     """
 
     offset: int
-    word_order: WordOrder | None = None
+    word_order: WordOrder = WordOrder.ABCD
+    zone: str = "UTC"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cp32:
-    """CP32Time2a: four octets in two registers, as Cp56; the date comes from the host's clock."""
+    """CP32Time2a: four octets in two registers, otherwise as Cp56.
+
+    The date comes from the host's clock and the last read that showed another stamp, so that its
+    block must have a trigger.
+    """
 
     offset: int
-    word_order: WordOrder | None = None
+    word_order: WordOrder = WordOrder.ABCD
+    zone: str = "UTC"
 
 
 TimeSource = SplitCalendar | UnixSeconds | SecondsMicroseconds | Cp56 | Cp32
@@ -340,6 +354,7 @@ class Block:
     atomic: fetched in one request of their own. Otherwise a request may take in neighbours of the
     same table and period, and a block that is larger than an answer is fetched by several.
     period: nanoseconds from read to read; None = as the device is configured.
+    is_clock: ``time`` is the device's clock when it is read, not the time of a measurement.
     message: name of the message type where it is not that of the block, in the same words.
     must_not_increase: points whose values cannot grow from one to the next. With the ranges of the
     32-bit points this tells a wrong word order (one warning event, never a rewrite).
@@ -356,6 +371,7 @@ class Block:
     title: str = ""
     period: int | None = None
     atomic: bool = True
+    is_clock: bool = False
     message: str = ""
 
     @property
@@ -375,14 +391,48 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class StampedInputs:
+    """A list of inputs that carry the time of their last change, read by function 43.
+
+    table: discrete inputs or input registers. stamp: octets of a time stamp, 7 or 4.
+    layout: of registers, values and stamps in turn or apart; None = the device is asked.
+    """
+
+    table: Table
+    stamp: int
+    address: int
+    count: int
+    layout: Layout | None = Layout.INTERLEAVED
+
+    @property
+    def mei(self) -> Mei:
+        """What asks for them."""
+        return Mei[f"{'DISCRETE' if self.table.has_bits else 'REGISTERS'}_{self.stamp}"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StampRules:
+    """How a device's stamps are read; roclog.stamps says what each means."""
+
+    zone: str = "UTC"
+    year_pivot: int = 70
+    lenient: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SerialDefaults:
-    """Line settings that the device's document fixes, and the silence it asks before a frame."""
+    """Line settings that the device's document fixes, and the silence it asks before a frame.
+
+    is_documented: False where no document states them, so that they only fill in what the
+    configuration leaves open.
+    """
 
     baudrate: int
     bytesize: int = 8
     parity: str = "N"
     stopbits: int = 1
     silence_characters: float = 3.5
+    is_documented: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -391,6 +441,8 @@ class RegisterMap:
 
     cycle: (facts block, names of the points in seconds) whose sum is the time between samples.
     answer_limit: longest time the document allows the device to answer, nanoseconds.
+    dialect: how its frames differ from the standard's. has_serial_port: False = TCP and UDP only.
+    stamped: lists of inputs that carry their own time stamps, read as stamp_rules say.
     """
 
     name: str
@@ -403,11 +455,20 @@ class RegisterMap:
     facts: tuple[Block, ...] = ()
     cycle: tuple[str, tuple[str, ...]] | None = None
     port: int = MODBUS_PORT
+    dialect: Dialect = STANDARD
+    has_serial_port: bool = True
+    stamped: tuple[StampedInputs, ...] = ()
+    stamp_rules: StampRules = StampRules()
     notes: tuple[str, ...] = field(default=())
 
     @property
     def blocks(self) -> tuple[Block, ...]:
         return self.facts + self.samples
+
+    @property
+    def stamped_tables(self) -> tuple[Table, ...]:
+        """The tables of ``stamped``, each once."""
+        return tuple(dict.fromkeys(inputs.table for inputs in self.stamped))
 
     @property
     def flagged(self) -> Block | None:

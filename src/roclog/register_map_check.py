@@ -4,241 +4,195 @@ from __future__ import annotations
 
 import math
 import re
-from decimal import Decimal
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from roclog.errors import RegisterMapError
+from roclog.point_check import NAME, point_flaws
 from roclog.register_map import (
-    MAX_RANGED_POINTS,
+    MAX_BLOCK,
+    MAX_READ_BITS,
     MAX_READ_REGISTERS,
     Block,
+    ClearOnRead,
     FlagAndClear,
-    Point,
     RegisterMap,
     SerialDefaults,
-    Table,
     WordType,
     camel_case,
 )
+from roclog.schema import sample_type
+from roclog.trigger_check import time_flaws, trigger_flaws
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
-_NAME = re.compile(r"[a-z][a-z0-9_]{0,47}")
-RESERVED_NAMES: Final = frozenset(
-    (
-        "seq",
-        "epoch",
-        "origin",
-        "redelivered",
-        "asked_at",
-        "read_at",
-        "read_at_monotonic",
-        "previous_read_at",
-        "device_time",
-        "time_flags",
-        "doubtful",
-        "raw",
-        "log_time",
-        "publish_time",
-    )
-)
-"""Fields that every sample has; a point cannot be called so."""
+    from roclog.register_map import Point
+    from roclog.schema import Field
+
+_MESSAGE: Final = re.compile(r"[a-z][a-z0-9_]{0,95}")
 RESERVED_BLOCKS: Final = frozenset({"gap", "link", "clear"})
 """Channels that a device has beside its blocks."""
-_UNSIGNED: Final = frozenset({WordType.U16, WordType.U32})
-_NUMBERS: Final = _UNSIGNED | {WordType.S16}
-_JUDGED: Final = frozenset({WordType.MINUTES_SECONDS, WordType.MONTH_DAY, WordType.TEXT})
-"""Types of which some words are illegal."""
-_MIN_SCALE: Final = Decimal("1e-30")
-_MAX_SCALE: Final = Decimal("1e30")
+_MAX_FIELDS: Final = 18_000
+"""Protobuf keeps the numbers from 19000 on for itself."""
+
+
+class Flaw(NamedTuple):
+    """One thing wrong in a map.
+
+    block, point: index into ``RegisterMap.blocks`` and ``Block.points``; None = of the whole.
+    key: the attribute that is wrong, or the nearest one. place: the block and point, for people.
+    """
+
+    block: int | None
+    point: int | None
+    key: str
+    place: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.place}{self.text}"
 
 
 def check_register_map(register_map: RegisterMap) -> None:
     """Raises:
     RegisterMapError: with all problems, not the first.
     """
-    problems = [*_map_problems(register_map), *_cycle_problems(register_map)]
-    for block in register_map.blocks:
-        problems += [f"block {block.name}: {text}" for text in _block_problems(block)]
-    if problems:
-        raise RegisterMapError(register_map.name, problems)
+    flaws = find_flaws(register_map)
+    if flaws:
+        raise RegisterMapError(register_map.name, [str(flaw) for flaw in flaws])
 
 
-def _map_problems(register_map: RegisterMap) -> Iterator[str]:
+def find_flaws(register_map: RegisterMap) -> list[Flaw]:
+    """Everything that is wrong, in the order of the map."""
+    whole = (*_map_flaws(register_map), *_cycle_flaws(register_map))
+    found = [Flaw(None, None, key, "", text) for key, text in whole]
+    for number, block in enumerate(register_map.blocks):
+        place = f"block {block.name}: "
+        is_fact = number < len(register_map.facts)
+        flaws = _block_flaws(block, is_fact=is_fact)
+        found += [Flaw(number, None, key, place, text) for key, text in flaws]
+        for index, point in enumerate(block.points):
+            where = f"{place}point {point.name}: "
+            flaws = point_flaws(point, block, index, is_fact=is_fact)
+            found += [Flaw(number, index, key, where, text) for key, text in flaws]
+        for index, text in _sharing_flaws(block):
+            where = f"{place}point {block.points[index].name}: "
+            found.append(Flaw(number, index, "offset", where, text))
+    return found
+
+
+def _map_flaws(register_map: RegisterMap) -> Iterator[tuple[str, str]]:
     if not re.fullmatch(r"[a-z][a-z0-9-]*", register_map.name):
-        yield "name: must be lower case letters, digits and -"
+        yield "name", "name: must be lower case letters, digits and -"
     if not 0 <= register_map.unit <= 255:
-        yield f"unit: {register_map.unit} is not 0 to 255"
+        yield "unit", f"unit: {register_map.unit} is not 0 to 255"
     if register_map.answer_limit <= 0:
-        yield "answer_limit: must be longer than nothing"
-    if not register_map.samples:
-        yield "samples: no block"
-    yield from _serial_problems(register_map.serial)
-    flagged = [block.name for block in register_map.blocks if block.trigger is not None]
+        yield "answer_limit", "answer_limit: must be longer than nothing"
+    if not register_map.samples and not register_map.stamped:
+        yield "blocks", "samples: no block"
+    yield from _serial_flaws(register_map.serial)
+    flagged = [block.name for block in register_map.blocks if block.handshake is not None]
     if len(flagged) > 1:
-        yield f"blocks {' and '.join(flagged)}: only one can have a flag"
-    for block in register_map.facts:
-        if block.trigger is not None:
-            yield f"block {block.name}: facts are read once, they cannot have a flag"
+        yield "blocks", f"blocks {' and '.join(flagged)}: only one can have a flag to clear"
+    yield from _twins("blocks", "block", [block.name for block in register_map.blocks])
+    yield from _message_flaws(register_map)
+
+
+def _message_flaws(register_map: RegisterMap) -> Iterator[tuple[str, str]]:
+    types: dict[str, tuple[str, tuple[Field, ...]]] = {}
     for block in register_map.samples:
-        texts = [point.name for point in block.points if point.type is WordType.TEXT]
-        if texts:
-            yield f"block {block.name}: text ({', '.join(texts)}) is for facts only"
-    yield from _twins("block", [block.name for block in register_map.blocks])
+        kind = sample_type(register_map.name, block)
+        other, fields = types.setdefault(kind.name, (block.name, kind.fields))
+        if block.message and fields != kind.fields:
+            text = f"the message {block.message} of {other} has other fields"
+            yield "blocks", f"block {block.name}: {text}"
 
 
-def _serial_problems(line: SerialDefaults) -> Iterator[str]:
+def _serial_flaws(line: SerialDefaults) -> Iterator[tuple[str, str]]:
     if line.baudrate <= 0 or line.bytesize != 8 or line.stopbits not in (1, 2):
-        yield "serial: must have a baudrate, 8 data bits, and 1 or 2 stop bits"
+        yield "serial", "serial: must have a baudrate, 8 data bits, and 1 or 2 stop bits"
     if line.parity not in ("N", "E", "O"):
-        yield f"serial: parity {line.parity!r} is not N, E or O"
+        yield "serial", f"serial: parity {line.parity!r} is not N, E or O"
     if not 3.5 <= line.silence_characters < math.inf:
-        yield f"serial: a silence of {line.silence_characters} is not at least 3.5 characters"
+        text = f"a silence of {line.silence_characters} is not at least 3.5 characters"
+        yield "serial", f"serial: {text}"
 
 
-def _cycle_problems(register_map: RegisterMap) -> Iterator[str]:
+def _cycle_flaws(register_map: RegisterMap) -> Iterator[tuple[str, str]]:
     if register_map.cycle is None:
         return
     facts, names = register_map.cycle
     points = {p.name: p for b in register_map.facts if b.name == facts for p in b.points}
     if not names:
-        yield "cycle: no points"
+        yield "cycle", "cycle: no points"
     for name in names:
         if name not in points:
-            yield f"cycle: no point {facts}.{name}"
+            yield "cycle", f"cycle: no point {facts}.{name}"
         elif points[name].unit != "s" or points[name].type is WordType.TEXT:
-            yield f"cycle: {facts}.{name} is not in seconds"
+            yield "cycle", f"cycle: {facts}.{name} is not in seconds"
+        elif points[name].can_be_missing:
+            yield "cycle", f"cycle: {facts}.{name} can be missing"
 
 
-def _block_problems(block: Block) -> Iterator[str]:
-    if not _NAME.fullmatch(block.name) or block.name in RESERVED_BLOCKS:
-        yield "name must be lower case letters, digits and _, and not gap, link or clear"
-    if not 1 <= block.count <= MAX_READ_REGISTERS:
-        yield f"count {block.count} is not 1 to {MAX_READ_REGISTERS} registers"
-    if not 0 <= block.address <= 65536 - block.count:
-        yield f"registers {block.address} to {block.address + block.count - 1} do not exist"
+def _block_flaws(block: Block, *, is_fact: bool) -> Iterator[tuple[str, str]]:
+    if not NAME.fullmatch(block.name) or block.name in RESERVED_BLOCKS:
+        yield "name", "name must be lower case letters, digits and _, and not gap, link or clear"
+    if block.message and not _MESSAGE.fullmatch(block.message):
+        yield "message", f"message {block.message!r} must be lower case letters, digits and _"
+    yield from _extent_flaws(block)
+    if block.period is not None and block.period <= 0:
+        yield "period", f"period: {block.period} ns is not more than nothing"
     if not block.points:
-        yield "no points"
-    for index, point in enumerate(block.points):
-        for text in _point_problems(point, block, index):
-            yield f"point {point.name}: {text}"
-    yield from _twins("field", [name for point in block.points for name in _field_names(point)])
-    numbers = [point.name for point in block.points if point.type is WordType.U32]
+        yield "points", "no points"
+    names = [name for point in block.points for name in point.field_names]
+    yield from _twins("points", "field", names)
+    if len(names) > _MAX_FIELDS:
+        yield "points", f"{len(names)} fields are more than {_MAX_FIELDS}"
+    numbers = {point.name for point in block.points if _is_wide_number(point)}
     for name in block.must_not_increase:
         if name not in numbers:
-            yield f"must_not_increase: {name} is not a 32-bit point"
-    yield from _sharing_problems(block)
-    yield from _time_problems(block)
-    if block.trigger is not None:
-        yield from _trigger_problems(block, block.trigger)
+            yield "must_not_increase", f"must_not_increase: {name} is not a 32-bit point"
+    yield from time_flaws(block)
+    if block.trigger is not None and is_fact:
+        yield "trigger", "facts are read once, they cannot have a flag or another trigger"
+    yield from trigger_flaws(block)
 
 
-def _sharing_problems(block: Block) -> Iterator[str]:
+def _is_wide_number(point: Point) -> bool:
+    return point.type.words > 1 and not point.can_be_missing
+
+
+def _extent_flaws(block: Block) -> Iterator[tuple[str, str]]:
+    what = "bits" if block.table.has_bits else "registers"
+    answer = MAX_READ_BITS if block.table.has_bits else MAX_READ_REGISTERS
+    most = answer if block.atomic else MAX_BLOCK
+    if not 1 <= block.count <= most:
+        yield "count", f"count {block.count} is not 1 to {most} {what}"
+    if not 0 <= block.address <= 65536 - block.count:
+        last = block.address + block.count - 1
+        yield "address", f"{what} {block.address} to {last} do not exist"
+    if not block.atomic and isinstance(block.trigger, FlagAndClear | ClearOnRead):
+        yield "atomic", "atomic: a block with a flag must be read in one request"
+
+
+def _sharing_flaws(block: Block) -> Iterator[tuple[int, str]]:
     taken: dict[int, str] = {}
-    if block.trigger is not None:
-        taken[block.trigger.flag] = "the flag"
-    for point in block.points:
-        for word in range(point.offset, point.offset + point.size):
+    if block.handshake is not None:
+        taken[block.handshake.flag] = "the flag"
+    what = "bit" if block.table.has_bits else "register"
+    for index, point in enumerate(block.points):
+        for word in range(point.offset, point.offset + min(point.size, MAX_BLOCK)):
             if word in taken:
-                yield f"point {point.name}: shares register {word} with {taken[word]}"
+                yield index, f"shares {what} {word} with {taken[word]}"
             taken[word] = point.name
 
 
-def _point_problems(point: Point, block: Block, index: int) -> Iterator[str]:
-    for name in _field_names(point):
-        if not _NAME.fullmatch(name) or name in RESERVED_NAMES:
-            yield f"{name!r} cannot be a name"
-    if point.offset < 0 or point.size < 1 or point.offset + point.size > block.count:
-        yield f"offset {point.offset} with {point.size} words is outside the block"
-    if point.words and point.type is not WordType.TEXT:
-        yield "only text has a number of words"
-    judged = point.low is not None or point.type in _JUDGED
-    if judged and index >= MAX_RANGED_POINTS:
-        yield f"only the first {MAX_RANGED_POINTS} points of a block can have a range"
-    yield from _scale_problems(point)
-    yield from _range_problems(point)
-    yield from _bit_problems(point)
-    values = [value for value, _ in point.meanings]
-    yield from (f"{v}: two meanings" for v in sorted(set(values)) if values.count(v) > 1)
-
-
-def _scale_problems(point: Point) -> Iterator[str]:
-    if point.scale is None:
-        return
-    if not (point.scale.is_finite() and _MIN_SCALE <= point.scale <= _MAX_SCALE):
-        yield f"scale {point.scale} is not a number from {_MIN_SCALE} to {_MAX_SCALE}"
-    if point.type not in _NUMBERS:
-        yield f"{point.type} cannot have a scale"
-
-
-def _bit_problems(point: Point) -> Iterator[str]:
-    bits = [bit for bit, _ in point.bits]
-    width = 16 * point.size
-    yield from (f"bit {bit} is outside {width} bits" for bit in bits if not 0 <= bit < width)
-    yield from (f"bit {bit}: named twice" for bit in sorted(set(bits)) if bits.count(bit) > 1)
-    if bits and (point.scale is not None or point.type not in _UNSIGNED):
-        yield "bits need an unscaled unsigned integer"
-
-
-def _range_problems(point: Point) -> Iterator[str]:
-    if (point.low is None) != (point.high is None):
-        yield "low and high go together"
-    if point.low is None or point.high is None:
-        return
-    if not (point.low.is_finite() and point.high.is_finite()):
-        yield f"{point.low} to {point.high} is not a range"
-    elif point.low > point.high:
-        yield f"low {point.low} is above high {point.high}"
-    if point.type is WordType.TEXT:
-        yield "text has no range"
-
-
-def _time_problems(block: Block) -> Iterator[str]:
-    if block.time is None:
-        return
-    time = block.time
-    offsets = (time.year, time.month_day, time.hour, time.minute_second)
-    yield from _outside("time", offsets, block)
-    if len(set(offsets)) < len(offsets):
-        yield "time: one register is used twice"
-
-
-def _trigger_problems(block: Block, trigger: FlagAndClear) -> Iterator[str]:
-    yield from _outside("flag", (trigger.flag,), block)
-    if trigger.new == trigger.clear:
-        yield "flag: new and clear are the same value"
-    if not (0 <= trigger.new <= 0xFFFF and 0 <= trigger.clear <= 0xFFFF):
-        yield "flag: new and clear must fit 16 bits"
-    if block.table is not Table.HOLDING_REGISTERS:
-        yield "flag: only a holding register can be cleared"
-    if not trigger.payload:
-        yield "payload: empty, so a changed sample could not be told from a repeat"
-    for first, words in trigger.payload:
-        if words < 1:
-            yield f"payload: {words} words from offset {first}"
-            continue
-        yield from _outside("payload", (first, first + words - 1), block)
-        if first <= trigger.flag < first + words:
-            yield "payload: contains the flag"
-
-
-def _outside(what: str, offsets: Iterable[int], block: Block) -> Iterator[str]:
-    for offset in offsets:
-        if not 0 <= offset < block.count:
-            yield f"{what}: offset {offset} is outside the block"
-
-
-def _twins(what: str, names: list[str]) -> Iterator[str]:
+def _twins(key: str, what: str, names: list[str]) -> Iterator[tuple[str, str]]:
     """Names that are the same, or become the same in JSON or as a message type."""
     for name in sorted({n for n in names if names.count(n) > 1}):
-        yield f"{what} {name}: named twice"
+        yield key, f"{what} {name}: named twice"
     first: dict[str, str] = {}
     for name in dict.fromkeys(names):
         other = first.setdefault(camel_case(name), name)
         if other != name:
-            yield f"{what} {name}: differs from {other} only in _"
-
-
-def _field_names(point: Point) -> tuple[str, ...]:
-    return (point.name, *(name for _, name in point.bits))
+            yield key, f"{what} {name}: differs from {other} only in _"

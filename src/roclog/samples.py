@@ -25,11 +25,13 @@ if TYPE_CHECKING:
 class Reading:
     """One block as it was read.
 
+    asked, began, read: first octet of the request, first and last octet of the answer.
     previous: UTC ns of the end of the latest read that showed no newer state, 0 = none yet.
     """
 
     words: tuple[int, ...]
     asked: Instant
+    began: Instant
     read: Instant
     previous: int
 
@@ -37,6 +39,14 @@ class Reading:
     def known_until(self) -> int:
         """UTC ns from which on this may be the second of two samples, the first one unseen."""
         return self.previous or self.read.utc
+
+    def utc_of(self, instant: Instant) -> int:
+        """UTC ns by the wall clock at ``read`` and the monotonic time between the two.
+
+        A step of the wall clock in the course of a read shifts nothing, and both clocks of every
+        instant follow from what is recorded.
+        """
+        return self.read.utc - (self.read.monotonic - instant.monotonic)
 
     @property
     def raw(self) -> bytes:
@@ -111,7 +121,7 @@ class SampleMaker:
             self.epoch,
             origin,
             redelivered,
-            reading.asked.utc,
+            reading.utc_of(reading.asked),
             reading.read.utc,
             reading.read.monotonic,
             reading.previous,
@@ -120,6 +130,7 @@ class SampleMaker:
             decoded.doubtful,
             block_octets(self.block, reading.words),
             *((decoded.missing,) if self._can_miss else ()),
+            reading.utc_of(reading.began),
             *decoded.values,
         )
         return Entry(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from google.protobuf import descriptor_pb2
 
-from roclog.register_map import Block, Point, WordType, camel_case
+from roclog.register_map import Block, Point, Table, WordType, camel_case
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -80,6 +80,9 @@ RAW_NUMBER: Final = 12
 MISSING: Final = Field("missing", 13, Kind.UINT64)
 """Behind ``raw``, in types some of whose points can be missing: bit n is set where point n is no
 measurement. A missing float is NaN as well; an integer then says nothing."""
+
+ANSWERED: Final = Field("answer_began_at", 14, Kind.INT64, "ns")
+"""When the first octet of the answer came; asked_at and read_at are the other two ends."""
 
 
 def _kind(point: Point) -> Kind:
@@ -218,6 +221,20 @@ class Reason(IntEnum):
     """A block that is read on schedule was not: no answer, or the connection was too busy."""
 
 
+class InputChange(IntEnum):
+    """In what the state of an input differs from the one recorded before it."""
+
+    UNKNOWN = 0
+    BASELINE = 1
+    """The first state ever recorded of this input."""
+    CHANGED = 2
+    """Value and stamp."""
+    RESTAMPED = 3
+    """The stamp alone."""
+    VALUE_WITHOUT_STAMP = 4
+    """The value alone: a fault of the device."""
+
+
 class ClearResult(IntEnum):
     """How the device took the write that lowers its flag."""
 
@@ -286,12 +303,45 @@ LINK: Final = MessageType(
 """What happened on the wire between ``from`` and ``to`` for one device."""
 
 
+CLOCK_OFFSET: Final = MessageType(
+    "roclog.ClockOffset",
+    (
+        Field("offset", 1, Kind.DOUBLE, "s"),
+        Field("uncertainty", 2, Kind.DOUBLE, "s"),
+        Field("drift", 3, Kind.DOUBLE, "ppm"),
+        Field("drift_uncertainty", 4, Kind.DOUBLE, "ppm"),
+    ),
+)
+"""Device clock less host clock, plus or minus ``uncertainty``; what the device gains, NaN where
+that is not known. For people; no time stamp is ever corrected by it."""
+
+
 def sample_type(profile: str, block: Block) -> MessageType:
     """Message type of a block's samples; ``raw`` holds the registers as on the wire."""
     name = f"roclog.{profile.replace('-', '_')}.{camel_case(block.message or block.name)}"
     raw = Field("raw", RAW_NUMBER, Kind.OCTETS, size=block.octets)
     missing = (MISSING,) if block.can_miss else ()
-    return MessageType(name, (*SIGNATURE, raw, *missing, *block_fields(block)))
+    return MessageType(name, (*SIGNATURE, raw, *missing, ANSWERED, *block_fields(block)))
+
+
+def stamped_type(profile: str, table: Table, stamp: int) -> MessageType:
+    """Message type of changes of one table's inputs, with stamps of so many octets.
+
+    ``raw`` is value and stamp as on the wire, a discrete input in one octet. The type is the same
+    for stamps of 7 and 4 octets, its messages differ in size.
+    """
+    name = f"roclog.{profile.replace('-', '_')}.{camel_case(table.value)}"
+    value = 1 if table.has_bits else 2
+    fields = (
+        Field("raw", RAW_NUMBER, Kind.OCTETS, size=value + stamp),
+        ANSWERED,
+        Field("address", 16, Kind.UINT32),
+        Field("value", 17, Kind.UINT32),
+        Field("change", 18, Kind.ENUM, enum=InputChange),
+        Field("hidden", 19, Kind.UINT32),
+        Field("time_octets", 20, Kind.OCTETS, size=stamp),
+    )
+    return MessageType(name, (*SIGNATURE, *fields))
 
 
 _SIGNATURE_TYPE: Final = MessageType("roclog.Signature", SIGNATURE)

@@ -20,7 +20,7 @@ from roclog.recording.sealer import Sealer
 from roclog.recording.writer import Limits, Writer
 from roclog.register_map import FlagAndClear
 from roclog.samples import SampleMaker
-from roclog.schema import CLEAR, GAP, LINK
+from roclog.schema import CLEAR, CLOCK_OFFSET, GAP, LINK, stamped_type
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
@@ -46,7 +46,11 @@ def channels(settings: Settings) -> list[ChannelInfo]:
             found.append(block_channel(device.name, profile, block, maker.kind))
             if isinstance(block.trigger, FlagAndClear):
                 found.append(plain_channel(device.name, "clear", CLEAR, clears=maker.topic))
+        for table in device.profile.stamped_tables:
+            kind = stamped_type(profile, table, 7)
+            found.append(plain_channel(device.name, table, kind, profile=profile, states="1"))
         found.append(plain_channel(device.name, "gap", GAP))
+        found.append(plain_channel(device.name, "clock_offset", CLOCK_OFFSET))
         found.append(plain_channel(device.name, "link", LINK))
     return found
 

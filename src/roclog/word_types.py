@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
     from roclog.register_map import Block, Point
 
-_CODES: Final = {
+CODES: Final = {
     WordType.U16: "H",
     WordType.S16: "h",
     WordType.U32: "I",
@@ -31,6 +32,9 @@ _CODES: Final = {
     WordType.BIT: "H",
 }
 """struct codes, big endian."""
+
+_ROUNDS_TO_INFINITY: Final = 2.0**128 - 2.0**103
+"""The smallest number that struct does not take for a binary32."""
 
 Raw = int | float | bytes
 """What a point has in its words: a number, or the octets of a text."""
@@ -59,7 +63,7 @@ def word_reader(
         if own.words_reversed and point.type is not WordType.TEXT:
             places = places[::-1]
         picked += [place + count * own.octets_swapped for place in places]
-        code += f"{2 * point.size}s" if point.type is WordType.TEXT else _CODES[point.type]
+        code += f"{2 * point.size}s" if point.type is WordType.TEXT else CODES[point.type]
     if not picked:
         return lambda words: ()  # noqa: ARG005 - a block of flags and stamps only
     plain, swapped = struct.Struct(f">{count}H"), struct.Struct(f"<{count}H")
@@ -83,7 +87,7 @@ def number_reader(
     if order.words_reversed:
         places.reverse()
     packing = struct.Struct(f"{'<' if order.octets_swapped else '>'}{len(places)}H")
-    unpack = struct.Struct(f">{_CODES[type_]}").unpack
+    unpack = struct.Struct(f">{CODES[type_]}").unpack
 
     def read(words: Sequence[int]) -> int | float:
         number: int | float = unpack(packing.pack(*(words[place] for place in places)))[0]
@@ -108,3 +112,16 @@ def block_words(block: Block, octets: bytes) -> tuple[int, ...]:
 def block_octets(block: Block, words: Sequence[int]) -> bytes:
     """What ``block_words`` has undone: the octets as on the wire."""
     return pack_bits(words) if block.table.has_bits else struct.pack(f">{len(words)}H", *words)
+
+
+def shortest_float32(number: float) -> float:
+    """The number with the fewest digits among those that are this binary32: 0.1, not 0.100000001.
+
+    NaN and infinities stay what they are.
+    """
+    octets = struct.pack(">f", number)
+    for digits in range(1, 9):
+        candidate = float(f"{number:.{digits}g}")
+        if abs(candidate) < _ROUNDS_TO_INFINITY and struct.pack(">f", candidate) == octets:
+            return candidate
+    return float(f"{number:.9g}") if math.isfinite(number) else number

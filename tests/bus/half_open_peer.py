@@ -13,8 +13,9 @@ import sys
 import time
 
 from roclog.bus import tcp
-from roclog.bus.bus import Bus, Framing, Timing
+from roclog.bus.bus import Bus
 from roclog.bus.tally import Tally
+from roclog.bus.timing import Framing, Timing
 from roclog.clock import SystemClock
 from roclog.errors import LinkDown
 from roclog.modbus.request import ReadRegisters

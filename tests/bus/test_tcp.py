@@ -18,9 +18,10 @@ import pytest
 from wire import mbap_frame
 
 from roclog.bus import tcp
-from roclog.bus.bus import Answer, Bus, Framing, Timing
+from roclog.bus.bus import Answer, Bus
 from roclog.bus.tally import Tally
 from roclog.bus.tcp import TcpLink
+from roclog.bus.timing import Framing, Timing
 from roclog.clock import SystemClock
 from roclog.errors import LinkDown, NoAnswer
 from roclog.modbus.request import ReadRegisters, words

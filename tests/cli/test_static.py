@@ -233,6 +233,7 @@ def test_commented_parts_of_init_are_valid(tmp_path: Path) -> None:
     assert settings.connections["gateway"].place == "192.168.1.40:4001"
     assert settings.recording.keep_size == 20 << 30
     assert settings.connections["hydraulics"].silence == 5_208_335
+    assert settings.connections["hydraulics"].rs485 is not None
 
 
 # check
@@ -257,6 +258,14 @@ def test_check_shows_what_will_be_recorded(config: Path) -> None:
     assert (
         "roc1: request 8.33ms + turnaround 10.00ms + answer 61.46ms + silence 5.21ms every 1s\n"
     ) in text
+
+
+def test_check_shows_direction_control_and_the_doubtful_name_of_a_port(config: Path) -> None:
+    text = config.read_text().replace("/dev/ttyS9", "/dev/ttyUSB250")
+    config.write_text(text.replace("transport =", "rs485 = {}\ntransport =", 1))
+    result = invoke("check", config)
+    assert "rtu /dev/ttyUSB250, 9600 Bd 8N1, direction by RTS, timeout 500ms" in result.stdout
+    assert "connections.bus.port: /dev/ttyUSB250 may be another adapter" in result.stderr
 
 
 def test_check_shows_connections_over_a_network(config: Path) -> None:

@@ -10,6 +10,7 @@ from roclog.config import bus_loads, warnings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from roclog.config import Settings
 
@@ -35,6 +36,10 @@ CASES = {
     ),
     "connections.bus.timeout: 60ms, but the longest answer and a typical turnaround take "
     "115208.367us at 9600 baud": f"{RTU}timeout = '60ms'\n{ROC}",
+    "connections.bus.port: /dev/ttyUSB250 may be another adapter when it is plugged in again; "
+    "use a link below /dev/serial/by-id": RTU.replace("/dev/ttyS9", "/dev/ttyUSB250") + ROC,
+    "connections.bus.port: /dev/ttyACM250 may be another adapter when it is plugged in again; "
+    "use a link below /dev/serial/by-id": RTU.replace("/dev/ttyS9", "/dev/ttyACM250") + ROC,
     "devices.roc1.poll: 30s is longer than the cycle of the device, 15s: "
     "about 50% of the samples will be lost": f"{RTU}{ROC}poll = '30s'\ncycle = '15s'",
     "devices.roc1.poll: 8s is longer than the shortest cycle that hiac-roc can have, 7s: "
@@ -59,6 +64,18 @@ def test_warning(text: str, line: str, load_text: Load) -> None:
 )
 def test_nothing_to_warn_about(text: str, load_text: Load) -> None:
     assert warnings(load_text(text)) == []
+
+
+def test_the_better_name_of_a_port_is_told(
+    tmp_path: Path, load_text: Load, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("roclog.config.advice._BY_ID", tmp_path)
+    (tmp_path / "usb-A-if00-port0").symlink_to("/dev/ttyUSB251")
+    (tmp_path / "usb-B-if00-port0").symlink_to("/dev/ttyUSB250")
+    (problem,) = warnings(load_text(RTU.replace("/dev/ttyS9", "/dev/ttyUSB250") + ROC))
+    assert str(problem).endswith(f"; use {tmp_path}/usb-B-if00-port0")
+    better = str(tmp_path / "usb-B-if00-port0")
+    assert warnings(load_text(RTU.replace("/dev/ttyS9", better) + ROC)) == []
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,8 @@ stopbits = 1
 timeout = "500ms"
 late_answer = "1s"
 silence = "5 chars"
+low_latency = true
+rs485 = { rts_on_send = true, rts_after_send = false, delay_before_send = "0ms" }
 [connections.net]
 transport = "tcp"
 host = "10.0.0.1"
@@ -114,6 +116,9 @@ def judge(path: Path) -> bool:
         assert connection.late_answer is None or connection.late_answer >= connection.timeout
         assert connection.silence >= 3.5 * connection.character
         assert (connection.character > 0) == connection.is_serial
+        if connection.rs485 is not None:
+            assert connection.transport == "rtu"
+            assert connection.rs485.rts_on_send != connection.rs485.rts_after_send
     for device in found.devices.values():
         serial = found.connections[device.connection].is_serial
         assert device.poll > 0

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from google.protobuf import descriptor_pb2
+from msgspec import Struct  # noqa: TC002 - in an annotation that runs
 
 from roclog.config import json_schema
 from roclog.config.profiles import TABLES
@@ -41,7 +42,8 @@ def test_module_prints_the_schema() -> None:
 
 def test_schema_has_the_keys_of_the_tables() -> None:
     definitions = json_schema()["definitions"]
-    for table in (Rtu, Tcp, Udp, RtuOverTcp, *TABLES.values()):
+    tables: list[type[Struct]] = [Rtu, Tcp, Udp, RtuOverTcp, *TABLES.values()]
+    for table in tables:
         keys = set(definitions[table.__name__]["properties"]) - {"transport", "profile"}
         assert keys == set(table.__struct_fields__)
         assert definitions[table.__name__]["additionalProperties"] is False

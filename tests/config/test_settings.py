@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from roclog.config import Connection, RecordingSettings, load
+from roclog.config.settings import DirectionControl
 from roclog.devices import PROFILES
 from roclog.errors import ConfigError, RegisterMapError
 from roclog.register_map import SerialDefaults, WordOrder
@@ -44,6 +45,8 @@ def test_defaults_of_a_serial_line(load_text: Load) -> None:
         late_answer=1_000_000_000,
         silence=5_208_335,  # 5 characters, as the ROC asks
         character=1_041_667,
+        low_latency=True,
+        rs485=None,
     )
     device = settings.devices["roc1"]
     assert (device.name, device.profile, device.connection) == ("roc1", ROC, "bus")
@@ -86,7 +89,7 @@ def test_defaults_of_a_gateway(load_text: Load) -> None:
     serial = load_text(RTU + DEVICE).connections["bus"]
     gateway = load_text(GATEWAY + DEVICE).connections["bus"]
     place = {"transport": "rtu-over-tcp", "host": "10.0.0.2", "port": 4001}
-    unknown = {"bytesize": 0, "parity": "", "stopbits": 0}
+    unknown = {"bytesize": 0, "parity": "", "stopbits": 0, "low_latency": False}
     assert gateway == replace(serial, **place, **unknown)  # type: ignore[arg-type]
     assert (gateway.place, gateway.is_serial) == ("10.0.0.2:4001", True)
 
@@ -133,6 +136,11 @@ def test_everything_given(load_text: Load, tmp_path: Path) -> None:
         timeout = "200ms"
         late_answer = "200ms"
         silence = "10ms"
+        low_latency = false
+        rs485.rts_on_send = false
+        rs485.rts_after_send = true
+        rs485.delay_before_send = "1ms"
+        rs485.delay_after_send = "0.1s"
         [devices.roc1]
         profile = "hiac-roc"
         connection = "bus"
@@ -155,10 +163,24 @@ def test_everything_given(load_text: Load, tmp_path: Path) -> None:
     assert (bus.baudrate, bus.bytesize, bus.parity, bus.stopbits) == (19200, 8, "E", 2)
     assert bus.character == 625_000  # 12 bits
     assert (bus.timeout, bus.late_answer, bus.silence) == (200_000_000, 200_000_000, 10_000_000)
+    assert not bus.low_latency
+    assert bus.rs485 == DirectionControl(
+        rts_on_send=False,
+        rts_after_send=True,
+        delay_before_send=1_000_000,
+        delay_after_send=100_000_000,
+    )
     device = settings.devices["roc1"]
     assert (device.unit, device.poll, device.cycle) == (1, 1_500_000_000, 15 * 10**9)
     assert device.word_order is WordOrder.CDAB
     assert not device.clears
+
+
+@pytest.mark.parametrize("line", ["rs485 = {}", "rs485 = { delay_before_send = '0ms' }"])
+def test_defaults_of_direction_control(line: str, load_text: Load) -> None:
+    assert load_text(f"{RTU}{line}\n{DEVICE}").connections["bus"].rs485 == DirectionControl(
+        rts_on_send=True, rts_after_send=False, delay_before_send=0, delay_after_send=0
+    )
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ def message(rng: random.Random) -> None:
     decoded = decode(chosen, registers)
     raw = b"".join(word.to_bytes(2) for word in registers)
     signature = (1, bytes(16), 1, False, 0, 0, 0, 0, decoded.device_time, decoded.time_flags)
-    packed = kind.pack(iter((*signature, decoded.doubtful, raw, *decoded.values)))
+    packed = kind.pack(iter((*signature, decoded.doubtful, raw, 0, *decoded.values)))
     whole = read_signature(packed)
     assert whole is not None
     assert whole["raw"] == raw

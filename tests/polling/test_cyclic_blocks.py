@@ -15,6 +15,7 @@ from wire import rtu_frame
 from roclog.bus.tally import Tally
 from roclog.errors import NoAnswer, StorageError
 from roclog.outbox import CommitGroup, Outbox
+from roclog.polling.clock_watch import ClockWatch
 from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
 from roclog.register_map import Block, Point, Table, WordOrder, WordType
 from roclog.samples import SampleMaker
@@ -95,19 +96,17 @@ def poller(
     bus: Bus, disk: Disk, *blocks: Block, seq: int = 0, read_until: int = 0
 ) -> tuple[CyclicBlocks, CommitGroup]:
     group = CommitGroup(disk)
-    members = [
-        CyclicBlock(
-            SampleMaker("flow", "registers", b, WordOrder.ABCD, b"e" * 16), SECOND, Known(seq), read_until
-        )
-        for b in blocks
-    ]
+    outbox = Outbox("flow", disk, VirtualClock(), group)
+    makers = [SampleMaker("flow", "registers", b, WordOrder.ABCD, b"e" * 16) for b in blocks]
+    members = [CyclicBlock(m, SECOND, Known(seq), read_until) for m in makers]
     made = CyclicBlocks(
         unit=UNIT,
         bus=bus,
         tally=Tally(),
         blocks=members,
         period=SECOND,
-        outbox=Outbox("flow", disk, VirtualClock(), group),
+        outbox=outbox,
+        clock_watch=ClockWatch("flow", outbox),
     )
     return made, group
 

@@ -63,13 +63,13 @@ class Bench:
             problem = self.clears.pop(0) if self.clears else None
             if problem is not None:
                 raise problem
-            return Answer(request.pdu, asked, self.now())
+            return Answer(request.pdu, asked, self.now(), self.now())
         flag, value, took = self.blocks.pop(0) if len(self.blocks) > 1 else self.blocks[0]
         self.time += took * MS
         self.log.append(f"read {value}")
         words = [flag, 0, 0, 0, 0, 10, 0, 0, 0, value, *([0] * 17)]
         pdu = bytes([3, 54]) + b"".join(word.to_bytes(2) for word in words)
-        return Answer(pdu, asked, self.now())
+        return Answer(pdu, asked, self.now(), self.now())
 
     def add(self, entry: object) -> None:
         data = getattr(entry, "data", b"")

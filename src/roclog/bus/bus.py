@@ -12,11 +12,11 @@ from __future__ import annotations
 import asyncio
 import struct
 from dataclasses import dataclass
-from enum import Enum, auto
 from typing import TYPE_CHECKING, Final
 
+from roclog.bus.link import LineErrors
+from roclog.bus.timing import Framing
 from roclog.bus.turns import Turns
-from roclog.clock import Instant
 from roclog.errors import (
     DeviceError,
     ExceptionAnswer,
@@ -26,7 +26,7 @@ from roclog.errors import (
     WrongAnswer,
 )
 from roclog.modbus.mbap import DatagramExchange, MbapExchange, MbapStream, whole_frame
-from roclog.modbus.request import check_answer
+from roclog.modbus.request import check_answer, is_read
 from roclog.modbus.rtu import Echo, RtuExchange
 
 if TYPE_CHECKING:
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 
     from roclog.bus.link import Link
     from roclog.bus.tally import Tally
-    from roclog.clock import Clock
+    from roclog.bus.timing import Timing
+    from roclog.clock import Clock, Instant
     from roclog.modbus.request import Request
 
     Exchange = RtuExchange | MbapExchange
-    Heard = tuple[bytes, Instant]
+    Heard = tuple[bytes, Instant, Instant]
 
-_READS: Final = frozenset({1, 2, 3, 4})
 _WRITE_REGISTER: Final = 6
 _SPOILED: Final = 50_000_000
 """Nanoseconds of silence after a damaged answer; longer than any adapter holds octets back."""
@@ -48,16 +48,6 @@ _TIMER_STEP: Final = 1_000_000
 _FIRST_RETRY: Final = 100_000_000
 _LAST_RETRY: Final = 2_000_000_000
 """Nanoseconds between attempts to open a link: doubling until an answer comes over it."""
-
-
-class Framing(Enum):
-    """How an answer is found in what a link hands over."""
-
-    RTU = auto()
-    """By its shape and checksum; it carries no number."""
-    MBAP_STREAM = auto()
-    MBAP_DATAGRAM = auto()
-    """One whole frame in each piece."""
 
 
 class TooLate(DeviceError):
@@ -69,29 +59,13 @@ class Answer:
     """A checked normal answer and the instants of its transaction.
 
     asked: just before the first octet of the request was handed to the line.
-    read: when the last octet of the answer was handed over.
+    began, read: when the first and the last octet of the answer were handed over.
     """
 
     pdu: bytes
     asked: Instant
+    began: Instant
     read: Instant
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Timing:
-    """Rules of one connection, nanoseconds.
-
-    timeout: for an answer to begin and end, from the end of the request.
-    late_answer: from the start of the request until its answer can no longer come; 0 where
-    answers are numbered.
-    silence: before every frame. character: duration of one on the wire; both 0 with MBAP.
-    """
-
-    framing: Framing
-    timeout: int
-    late_answer: int = 0
-    silence: int = 0
-    character: int = 0
 
 
 class Bus:
@@ -99,6 +73,7 @@ class Bus:
 
     permitted: the only writes that may leave, as (unit, address, value).
     devices: how many share the connection. failing: names of those that do not answer at present.
+    on_open: called each time the link was opened.
     """
 
     def __init__(
@@ -123,9 +98,12 @@ class Bus:
         self._retry_delay = _FIRST_RETRY
         self._quiet_since = 0
         self._owed_until = 0
-        self._last_heard = Instant(0, 0)
+        self._heard: list[tuple[int, Instant]] = []
+        self._octets = 0
+        self._line_errors = LineErrors()
+        self.on_open: Callable[[], None] | None = None
         self._transaction = 0
-        self._stream = MbapStream()
+        self._stream = MbapStream(self.timing.dialect)
         self._exchange: Exchange | None = None
         self._waiter: asyncio.Future[Heard] | None = None
         self._stray = self._stale = self._losses = 0
@@ -175,7 +153,7 @@ class Bus:
 
     def _check_permitted(self, unit: int, pdu: bytes) -> None:
         """Judges the octets that would leave, whatever the request calls itself."""
-        if pdu[0] in _READS:
+        if is_read(pdu):
             return
         what = f"function {pdu[0]}"
         if pdu[0] == _WRITE_REGISTER and len(pdu) == 5:
@@ -191,7 +169,7 @@ class Bus:
         if self._now() < self._retry_after:
             raise LinkDown(f"{self.link.name} is not open, next attempt soon: {self._trouble}")
         self.echo = Echo.UNKNOWN
-        self._stream = MbapStream()
+        self._stream = MbapStream(self.timing.dialect)
         try:
             await self.link.open(self._receive, self._lost)
         except OSError as error:
@@ -202,6 +180,8 @@ class Bus:
             self._retry_after = self._now() + self._retry_delay
             self._retry_delay = min(2 * self._retry_delay, _LAST_RETRY)
         self._opened = True
+        if self.on_open is not None:
+            self.on_open()
         self._quiet_since = max(self._quiet_since, self._now())
 
     async def _wait_for_line(self) -> None:
@@ -233,6 +213,8 @@ class Bus:
             self._owed_until = max(latest, sent + self.timing.timeout)
         waiter = asyncio.get_running_loop().create_future()
         self._exchange, self._waiter = exchange, waiter
+        self._heard.clear()
+        self._octets = 0
         try:
             self.link.send(exchange.adu)
         except OSError as error:
@@ -241,7 +223,7 @@ class Bus:
             raise LinkDown(f"{self.link.name}: {_reason(error)}") from error
         tally.requests += 1
         try:
-            pdu, read = await self._wait_for_answer(waiter, sent, tally)
+            pdu, began, read = await self._wait_for_answer(waiter, sent, tally)
             check_answer(request, pdu)
         except ExceptionAnswer as refusal:
             tally.count_exception(refusal.code)
@@ -250,11 +232,13 @@ class Bus:
             tally.wrong_answers += 1
             raise
         except NoAnswer as silence:
+            if self.link.is_deaf:
+                self._give_up("nothing came back over the connection")
             raise self._explain(exchange, silence, tally) from None
         finally:
             tally.busy += self._now() - asked.monotonic
         tally.count_answer(read.monotonic - asked.monotonic)
-        return Answer(pdu, asked, read)
+        return Answer(pdu, asked, began, read)
 
     async def _wait_for_answer(
         self, waiter: asyncio.Future[Heard], sent: int, tally: Tally
@@ -286,8 +270,8 @@ class Bus:
         if waiter is None or waiter.done():
             return
         pdu = exchange.conclude() if isinstance(exchange, RtuExchange) else None
-        if pdu is not None:
-            waiter.set_result((pdu, self._last_heard))
+        if pdu is not None and exchange is not None:
+            waiter.set_result((pdu, self._began(exchange), self._heard[-1][1]))
         else:
             limit = f"{self.timing.timeout / 1e6:g} ms"
             waiter.set_exception(NoAnswer(f"{self.link.name}: no answer within {limit}"))
@@ -297,7 +281,7 @@ class Bus:
             return RtuExchange(unit, request, self.echo)
         self._transaction = self._transaction % 0xFFFF + 1
         if self.timing.framing is Framing.MBAP_DATAGRAM:
-            return DatagramExchange(unit, request, self._transaction)
+            return DatagramExchange(unit, request, self._transaction, self.timing.dialect)
         return MbapExchange(unit, request, self._transaction, self._stream)
 
     def _settle(self, tally: Tally) -> None:
@@ -311,11 +295,24 @@ class Bus:
         tally.discarded_octets += self._stray
         tally.late_answers += self._stale
         tally.link_losses += self._losses
+        self._count_line_errors(tally)
         self._stray = self._stale = self._losses = 0
 
+    def _count_line_errors(self, tally: Tally) -> None:
+        now, before = self.link.line_errors(), self._line_errors
+        if now is None or now == before:
+            return
+        self._line_errors = now
+        tally.frame_errors += now.frame - before.frame
+        tally.parity_errors += now.parity - before.parity
+        tally.overruns += now.overrun - before.overrun
+        tally.breaks += now.breaks - before.breaks
+
     def _receive(self, octets: bytes) -> None:
-        self._last_heard = now = self._clock.now()
+        now = self._clock.now()
         self._quiet_since = max(self._quiet_since, now.monotonic)
+        self._heard.append((self._octets, now))
+        self._octets += len(octets)
         exchange, waiter = self._exchange, self._waiter
         try:
             if exchange is None or waiter is None or waiter.done():
@@ -331,23 +328,27 @@ class Bus:
             if pdu is not None:
                 self._owed_until = self._retry_after = 0
                 self._retry_delay = _FIRST_RETRY
-                waiter.set_result((pdu, now))
+                waiter.set_result((pdu, self._began(exchange), now))
             elif isinstance(exchange, RtuExchange) and exchange.spoiled:
                 loop = asyncio.get_running_loop()
-                loop.call_later(_SPOILED / 1e9, self._call_off, exchange, now.monotonic)
+                loop.call_later(_SPOILED / 1e9, self._call_off, exchange, self._octets)
+
+    def _began(self, exchange: Exchange) -> Instant:
+        """When the octet arrived with which the answer begins."""
+        return next(at for before, at in reversed(self._heard) if before <= exchange.answer_start)
 
     def _call_off(self, exchange: Exchange, heard: int) -> None:
         """A damaged answer came and nothing behind it: no other will."""
         waiter = self._waiter
-        same = exchange is self._exchange and heard == self._last_heard.monotonic
+        same = exchange is self._exchange and heard == self._octets
         if same and waiter is not None and not waiter.done():
             self._owed_until = 0
             waiter.set_exception(NoAnswer(f"{self.link.name}: the answer was damaged"))
 
     def _discard(self, octets: bytes) -> None:
         """Nobody waits for this: noise on a serial line, late answers and copies with MBAP."""
-        framing = self.timing.framing
-        if framing is Framing.MBAP_DATAGRAM and whole_frame(octets) is not None:
+        framing, dialect = self.timing.framing, self.timing.dialect
+        if framing is Framing.MBAP_DATAGRAM and whole_frame(octets, dialect) is not None:
             self._stale += 1
             return
         if framing is not Framing.MBAP_STREAM:

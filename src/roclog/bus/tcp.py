@@ -6,15 +6,20 @@ import asyncio
 import socket
 from typing import TYPE_CHECKING, Final
 
+from roclog.bus.link import Link
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 _CONNECT_SECONDS: Final = 3.0
 _USER_TIMEOUT_MS: Final = 5000
 """Unacknowledged octets older than this end the connection: a half-open peer is noticed."""
+_DEAF: Final = 4
+"""Requests in a row without an octet back, after which the connection is opened anew: a peer can
+acknowledge for ever what it no longer serves."""
 
 
-class TcpLink:
+class TcpLink(Link):
     """One client connection."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -25,6 +30,10 @@ class TcpLink:
     @property
     def name(self) -> str:
         return f"{self.host}:{self.port}"
+
+    @property
+    def is_deaf(self) -> bool:
+        return self._stream is not None and self._stream.unanswered >= _DEAF
 
     async def open(self, receive: Callable[[bytes], None], lost: Callable[[str], None]) -> None:
         self.close()
@@ -60,6 +69,7 @@ class _Stream(asyncio.Protocol):
         self._lost = lost
         self._transport: asyncio.Transport | None = None
         self._closed_here = False
+        self.unanswered = 0
 
     def watch_peer(self) -> None:
         """Have the system notice a peer that vanished without a word."""
@@ -73,6 +83,7 @@ class _Stream(asyncio.Protocol):
     def send(self, octets: bytes) -> None:
         if self._transport is None or self._transport.is_closing():
             raise OSError("the connection is closed")
+        self.unanswered += 1
         self._transport.write(octets)
 
     def abort(self) -> None:
@@ -85,6 +96,7 @@ class _Stream(asyncio.Protocol):
         self._transport = transport
 
     def data_received(self, data: bytes) -> None:
+        self.unanswered = 0
         self._receive(data)
 
     def connection_lost(self, exc: Exception | None) -> None:

@@ -9,8 +9,8 @@ import heapq
 class Turns:
     """One holder at a time. ``take``, work, ``release``.
 
-    Whoever has begun something (a sample to confirm, a flag to clear) asks with the instant at which
-    that was due, and so goes before everything that became due later.
+    Whoever has begun something (a sample to confirm, a flag to clear) asks with the instant at
+    which that was due, and so goes before everything that became due later.
     """
 
     def __init__(self) -> None:

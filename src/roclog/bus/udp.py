@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Final, cast
 
+from roclog.bus.link import Link
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 _RESOLVE_SECONDS: Final = 3.0
 
 
-class UdpLink:
+class UdpLink(Link):
     """One connected socket: the system drops datagrams of others, and tells of a closed port.
 
     Opening says nothing about the peer. ``lost`` is called when the system refuses a datagram or

@@ -63,6 +63,7 @@ COMMANDS: Final = (
     Entry("recover", "Seal what a crash left behind."),
     Entry("simulate", "Serve simulated devices."),
     Entry("profiles", "Show the built-in register maps."),
+    Entry("decode", "Show what raw words mean, in every type and order."),
 )
 """In the order of the help. The text is here so that the help imports no sub-command."""
 

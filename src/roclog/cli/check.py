@@ -174,6 +174,8 @@ def _connection(connection: Connection) -> str:
     line = f"{connection.baudrate} Bd"
     if connection.transport == "rtu":
         line += f" {connection.bytesize}{connection.parity}{connection.stopbits}"
+    if connection.rs485 is not None:
+        line += ", direction by RTS"
     return (
         f"{text}, {line}, timeout {timeout}, "
         f"late answer {format_duration(connection.late_answer)}, "

@@ -51,6 +51,9 @@ poll = "1s"                     # shorter than the time between two samples of t
 # late_answer = "1s"            # after a time-out nothing is sent until the late answer came or
 #                               # this has passed since the request; default 2 x timeout
 # silence = "5 chars"           # before every request; default: what the devices ask
+# low_latency = true            # ask the driver to hand octets over as they come
+# rs485 = {{ rts_on_send = true }}    # direction control by the driver, for ports that do not
+#                               # switch by themselves; most USB adapters do
 #
 # [devices.roc2]
 # profile = "hiac-roc"

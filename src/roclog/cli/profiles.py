@@ -11,11 +11,12 @@ import click
 
 from roclog.devices import PROFILES
 from roclog.quantities import format_duration
+from roclog.register_map import Change, ClearOnRead, Counter, FlagAndClear, SplitCalendar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from roclog.register_map import Block, Point, RegisterMap
+    from roclog.register_map import Block, Point, RegisterMap, TimeSource
 
 _NUMERIC: Final = frozenset({"address", "words", "unit id"})
 _LONG: Final = frozenset({"title", "source"})
@@ -77,19 +78,39 @@ def _block_facts(profile: RegisterMap, block: Block) -> Iterator[tuple[str, str]
     last = block.address + block.count - 1
     words = f"{block.count} {block.table.replace('_', ' ')}"
     yield "block", f"{block.name}: {words} {block.address}-{last}, read {when}"
-    if block.trigger is not None:
-        flag = block.address + block.trigger.flag
-        payload = ", ".join(
-            _span(block.address + first, words) for first, words in block.trigger.payload
-        )
-        new, clear = block.trigger.new, block.trigger.clear
-        yield "trigger", f"register {flag} is {new} when there is a sample; {clear} clears it"
-        yield "payload", f"registers {payload}: a change is another sample"
+    yield from _trigger_facts(block)
     if block.time is not None:
-        time = block.time
-        offsets = (time.year, time.month_day, time.hour, time.minute_second)
-        addresses = ", ".join(str(block.address + offset) for offset in offsets)
-        yield "time", f"year, month/day, hour, minute/second in registers {addresses}"
+        yield "time", _time_text(block, block.time)
+
+
+def _trigger_facts(block: Block) -> Iterator[tuple[str, str]]:
+    match block.trigger:
+        case FlagAndClear(flag=flag, new=new, clear=clear, payload=payload):
+            flag += block.address
+            yield "trigger", f"register {flag} is {new} when there is a sample; {clear} clears it"
+            yield "payload", f"registers {_spans(block, payload)}: a change is another sample"
+        case ClearOnRead(address=address, mask=mask, new=new):
+            yield "trigger", f"{address} AND {mask:#06x} is {new} when there is a sample"
+            yield "clears", "by being read: each sample can be read only once"
+        case Counter(point=point):
+            yield "trigger", f"{point} counts the samples"
+        case Change(payload=payload):
+            what = f"registers {_spans(block, payload)}" if payload else "any of the words"
+            yield "trigger", f"a change of {what} is another sample"
+
+
+def _time_text(block: Block, time: TimeSource) -> str:
+    if isinstance(time, SplitCalendar):
+        names = ", ".join(name.replace("_", "/") for name, _ in time.words)
+        places = ", ".join(str(block.address + offset) for _, offset in time.words)
+        return f"{names} in registers {places}"
+    offsets = [getattr(time, name, None) for name in ("offset", "seconds", "microseconds")]
+    first = ", ".join(str(block.address + offset) for offset in offsets if offset is not None)
+    return f"{type(time).__name__} in registers from {first} on"
+
+
+def _spans(block: Block, ranges: Sequence[tuple[int, int]]) -> str:
+    return ", ".join(_span(block.address + first, words) for first, words in ranges)
 
 
 def _span(address: int, words: int) -> str:
@@ -169,7 +190,7 @@ def _profile_object(profile: RegisterMap, *, blocks: bool) -> dict[str, object]:
 
 
 def _block_object(profile: RegisterMap, block: Block) -> dict[str, object]:
-    trigger = block.trigger
+    trigger = block.handshake
     return {
         "name": block.name,
         "title": block.title,

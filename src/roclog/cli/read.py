@@ -75,22 +75,26 @@ def _print_block(read: BlockRead) -> None:
     console.print()
 
 
-def _remark(point: Point, values: dict[str, Value]) -> str:
+def _remark(point: Point, values: dict[str, Value | None]) -> str:
+    if values[point.name] is None:
+        return "no measurement"
     set_bits = [name for _, name in point.bits if values[name]]
     meanings = [text for value, text in point.meanings if value == values[point.name]]
     return ", ".join(set_bits + meanings)
 
 
-def _by_name(read: BlockRead) -> dict[str, Value]:
-    from roclog.decode import field_names  # noqa: PLC0415
+def _by_name(read: BlockRead) -> dict[str, Value | None]:
+    from roclog.decode import named_values  # noqa: PLC0415
 
     if read.decoded is None:
         return {}
-    return dict(zip(field_names(read.block), read.decoded.values, strict=True))
+    return named_values(read.block, read.decoded)
 
 
-def _text(value: Value) -> str:
+def _text(value: Value | None) -> str:
     """Device strings come from outside: control characters are shown, not obeyed."""
+    if value is None:
+        return "-"
     if isinstance(value, str):
         return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in value)
     return repr(value)

@@ -131,7 +131,7 @@ def _connection_warnings(connection: Connection, users: list[Device]) -> Iterato
         known += ["bytesize", "parity", "stopbits"]
     for device in users:
         who = f"{device.profile.name} ({device.name})"
-        for name in known:
+        for name in known if device.profile.serial.is_documented else ():
             actual, fixed = getattr(connection, name), getattr(device.profile.serial, name)
             if actual != fixed:
                 yield f".{name}", f"{shown(actual)}, but {who} has {shown(fixed)}"

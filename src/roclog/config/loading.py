@@ -166,7 +166,8 @@ def _check_format(
 ) -> None:
     names = ("baudrate", "bytesize", "parity", "stopbits")
     for name in (name for name in names if name in line.__struct_fields__):
-        wanted = sorted({getattr(profile.serial, name) for profile in profiles})
+        serials = [profile.serial for profile in profiles if profile.serial.is_documented]
+        wanted = sorted({getattr(serial, name) for serial in serials})
         if len(wanted) > 1 and getattr(line, name) is UNSET and not problems.at(f"{key}.{name}"):
             choice = " and ".join(shown(value) for value in wanted)
             problems.add(f"{key}.{name}", f"missing, its devices are delivered with {choice}")

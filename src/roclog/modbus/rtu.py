@@ -16,7 +16,7 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING
 
 from roclog.modbus.library import crc
-from roclog.modbus.request import EXCEPTION_BIT
+from roclog.modbus.request import refusals
 
 if TYPE_CHECKING:
     from roclog.modbus.request import Request
@@ -33,6 +33,8 @@ class Echo(Enum):
 class RtuExchange:
     """Feed it octets until it returns the answer's PDU.
 
+    answer_start: how many octets were fed before those of the answer, once it is known.
+
     A read's answer cannot equal its request, a write's answer always does: unless the line is known
     not to echo, the first copy of a write is not its answer.
     """
@@ -42,10 +44,10 @@ class RtuExchange:
         self.adu = body + crc(body)
         self.echo = echo
         head = bytes([unit]) + request.head
-        refusal = bytes([unit, request.pdu[0] | EXCEPTION_BIT])
         self._head = head
         self._size = 1 + request.answer_size + 2
-        self._shapes = [(refusal, 5), (head, self._size)]
+        self._shapes = [(bytes([unit]) + start, 1 + n + 2) for start, n in refusals(request)]
+        self._shapes.append((head, self._size))
         self._answer_is_copy = head == body
         self._echo_due = not self._answer_is_copy or echo is not Echo.ABSENT
         if self._echo_due:
@@ -53,6 +55,8 @@ class RtuExchange:
         self._echoed = False
         self._buffer = bytearray()
         self._judged = 0
+        self._removed = 0
+        self.answer_start = 0
 
     def feed(self, octets: bytes) -> bytes | None:
         """The PDU, normal or exception, once it is whole; None while it is not."""
@@ -92,8 +96,10 @@ class RtuExchange:
             if not frame:
                 self._judged += 1
             elif self._echo_due and frame == self.adu:
+                self._removed += len(frame)
                 self._take_echo()
             else:
+                self.answer_start = self._removed + start
                 self._learn(start)
                 return frame[1:-2]
         self._judged = len(self._buffer)

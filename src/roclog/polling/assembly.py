@@ -5,16 +5,22 @@ from __future__ import annotations
 import logging
 import uuid
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from roclog.bus.tally import Tally
+from roclog.changes import ChangeMemory
 from roclog.handshake import Memory, recover
 from roclog.outbox import Outbox
+from roclog.polling.clock_watch import ClockWatch
 from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
 from roclog.polling.device import PolledDevice
 from roclog.polling.flagged_block import FlaggedBlock
+from roclog.polling.stamped_table import StampedTable
 from roclog.register_map import FlagAndClear
 from roclog.samples import SampleMaker
+from roclog.stamped_messages import StampedMaker
+from roclog.stamps import StampDecoder, parse_zone
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
@@ -23,11 +29,21 @@ if TYPE_CHECKING:
     from roclog.outbox import CommitGroup
     from roclog.polling.poller import Poller
     from roclog.recording.writer import Writer
-    from roclog.register_map import Block
+    from roclog.register_map import Block, Table
 
 _log = logging.getLogger("roclog")
 Carried = Mapping[str, object]
 State = TypeVar("State")
+
+
+@dataclass(frozen=True, slots=True)
+class _Shared:
+    """What the pollers of one device have in common."""
+
+    device: Device
+    bus: Bus
+    tally: Tally
+    clock_watch: ClockWatch
 
 
 class Assembly:
@@ -54,18 +70,22 @@ class Assembly:
                 flagged = self._flagged(device, block, bus, tally)
             else:
                 cyclic.setdefault(block.period or device.poll, []).append(block)
+        outbox = self._outbox(device)
+        clock_watch = ClockWatch(device.name, outbox)
         pollers: list[Poller] = [] if flagged is None else [flagged]
-        for period, blocks in cyclic.items():
-            pollers.append(self._cyclic(device, blocks, period, bus, tally))
+        shared = _Shared(device, bus, tally, clock_watch)
+        pollers += [self._cyclic(shared, blocks, period) for period, blocks in cyclic.items()]
+        pollers += [self._stamped(shared, table) for table in device.profile.stamped_tables]
         return PolledDevice(
             device=device,
             bus=bus,
             tally=tally,
             pollers=pollers,
             flagged=flagged,
-            outbox=self._outbox(device),
+            outbox=outbox,
             writer=self._writer,
             clock=self._clock,
+            clock_watch=clock_watch,
             phase=phase,
         )
 
@@ -73,7 +93,7 @@ class Assembly:
         return Outbox(device.name, self._writer, self._clock, self._group)
 
     def _flagged(self, device: Device, block: Block, bus: Bus, tally: Tally) -> FlaggedBlock:
-        epoch, memory, read_until = self._resume(device, block, _recover, Memory())
+        epoch, memory, read_until = self._resume(device, block.name, _recover, Memory())
         maker = SampleMaker(device.name, device.profile.name, block, device.word_order, epoch)
         return FlaggedBlock(
             unit=device.unit,
@@ -88,28 +108,49 @@ class Assembly:
             read_until=read_until,
         )
 
-    def _cyclic(
-        self, device: Device, blocks: list[Block], period: int, bus: Bus, tally: Tally
-    ) -> CyclicBlocks:
+    def _cyclic(self, shared: _Shared, blocks: list[Block], period: int) -> CyclicBlocks:
+        device = shared.device
         members = []
         for block in blocks:
-            epoch, last, read_until = self._resume(device, block, _last_sample, (0, b""))
+            epoch, last, read_until = self._resume(device, block.name, _last_sample, (0, b""))
             maker = SampleMaker(device.name, device.profile.name, block, device.word_order, epoch)
             members.append(CyclicBlock(maker, period, maker.known(*last), read_until))
         return CyclicBlocks(
             unit=device.unit,
-            bus=bus,
-            tally=tally,
+            bus=shared.bus,
+            tally=shared.tally,
             blocks=members,
             period=period,
             outbox=self._outbox(device),
+            clock_watch=shared.clock_watch,
+        )
+
+    def _stamped(self, shared: _Shared, table: Table) -> StampedTable:
+        device = shared.device
+        fresh = (0, ChangeMemory())
+        epoch, (seq, memory), read_until = self._resume(device, table, _states, fresh)
+        rules = device.profile.stamp_rules
+        return StampedTable(
+            unit=device.unit,
+            bus=shared.bus,
+            tally=shared.tally,
+            lists=[inputs for inputs in device.profile.stamped if inputs.table is table],
+            maker=StampedMaker(device.name, device.profile.name, table, epoch, seq),
+            decoder=StampDecoder(
+                parse_zone(rules.zone), year_pivot=rules.year_pivot, lenient=rules.lenient
+            ),
+            memory=memory,
+            clock=shared.clock_watch,
+            outbox=self._outbox(device),
+            period=device.poll,
+            read_until=read_until,
         )
 
     def _resume(
-        self, device: Device, block: Block, read: Callable[[Carried], State], fresh: State
+        self, device: Device, name: str, read: Callable[[Carried], State], fresh: State
     ) -> tuple[bytes, State, int]:
-        """Epoch, state and last read of a block; a new epoch where nothing usable is left."""
-        topic = f"/{device.name}/{block.name}"
+        """Epoch, state and last read of a channel; a new epoch where nothing usable is left."""
+        topic = f"/{device.name}/{name}"
         carry = self._carry.get(topic)
         if carry is None:
             return uuid.uuid4().bytes, fresh, 0
@@ -120,6 +161,10 @@ class Assembly:
                 "%s: what is left of the last run is no use (%r), a new epoch begins", topic, error
             )
             return uuid.uuid4().bytes, fresh, 0
+
+
+def _states(carry: Carried) -> tuple[int, ChangeMemory]:
+    return int(str(carry["seq"])), ChangeMemory(str(carry["states"]))
 
 
 def _last_sample(carry: Carried) -> tuple[int, bytes]:

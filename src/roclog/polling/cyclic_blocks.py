@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from roclog.bus.tally import Tally
     from roclog.clock import Instant
     from roclog.outbox import Outbox
+    from roclog.polling.clock_watch import ClockWatch
     from roclog.polling.request_plan import Fetch
     from roclog.recording.entries import Entry
     from roclog.register_map import ClearOnRead
@@ -49,8 +50,11 @@ class CyclicBlock:
         """Number of the last sample."""
         return self._known.seq
 
-    def take(self, octets: bytes, answer: Answer, asked: Instant, outbox: Outbox) -> None:
-        """One read. asked: of its first request, where several were needed."""
+    def take(self, octets: bytes, answer: Answer, asked: Instant, outbox: Outbox) -> Entry | None:
+        """One read, and its sample if it is one.
+
+        asked: of its first request, where several were needed.
+        """
         last, self._last = self._last, answer.read
         words = self.maker.words(octets)
         self._known, finding = judge(self.maker.block, self._known, words, self.maker.order)
@@ -61,11 +65,15 @@ class CyclicBlock:
                 outbox.event(
                     "warning", "counter", f"{finding.note.name.lower()}: {octets.hex(' ')}"
                 )
-        if finding.origin is not None:
-            self._raw = octets
-            reading = Reading(words, asked, answer.read, last.utc if last is not None else 0)
-            carry = self._carry(answer.read)
-            outbox.add(self.maker.message(reading, self.seq, finding.origin, carry))
+        if finding.origin is None:
+            return None
+        self._raw = octets
+        previous = last.utc if last is not None else 0
+        reading = Reading(words, asked, answer.began, answer.read, previous)
+        carry = self._carry(answer.read)
+        entry = self.maker.message(reading, self.seq, finding.origin, carry)
+        outbox.add(entry)
+        return entry
 
     def close(self, outbox: Outbox) -> None:
         """Let the next run know until when this one has read."""
@@ -121,6 +129,7 @@ class CyclicBlocks:
         blocks: Sequence[CyclicBlock],
         period: int,
         outbox: Outbox,
+        clock_watch: ClockWatch,
     ) -> None:
         self.period = period
         self.outbox = outbox
@@ -128,6 +137,7 @@ class CyclicBlocks:
         self._bus = bus
         self._tally = tally
         self._blocks = blocks
+        self._clock_watch = clock_watch
         self._plan = plan_requests([block.maker.block for block in blocks])
         self._halves: dict[int, tuple[Instant, bytes]] = {}
         self._refused: set[int] = set()
@@ -165,7 +175,14 @@ class CyclicBlocks:
             octets += answer.pdu[part.start : part.stop]
             self._halves[part.block] = asked, octets
             if len(octets) == block.maker.size:
-                block.take(octets, answer, asked, self.outbox)
+                entry = block.take(octets, answer, asked, self.outbox)
+                if block.maker.block.is_clock and entry is not None and answer.asked is asked:
+                    self._follow_clock(entry, answer)
+
+    def _follow_clock(self, entry: Entry, answer: Answer) -> None:
+        """The device's clock was read between request and answer."""
+        if entry.publish_time != entry.log_time:
+            self._clock_watch.note(entry.publish_time, answer.asked, answer.read)
 
     async def _is_raised(self, gate: ClearOnRead, due: int) -> bool:
         """Whether a flag that lies outside its block says that the block is to be read."""

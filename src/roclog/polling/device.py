@@ -18,13 +18,14 @@ if TYPE_CHECKING:
     from roclog.config.settings import Device
     from roclog.decode import Value
     from roclog.outbox import Outbox
+    from roclog.polling.clock_watch import ClockWatch
     from roclog.polling.flagged_block import FlaggedBlock
     from roclog.polling.poller import Poller
     from roclog.recording.writer import Writer
 
 _LINK_PERIOD: Final = 60 * 10**9
 _PATIENCE: Final = 3
-"""Failures in a row that are not yet held against a device."""
+"""Failures in a row that are not yet held against a device that has answered before."""
 _FACTS_PAUSE: Final = 60 * 10**9
 _LONGEST_PAUSE: Final = 30 * 10**9
 _ABSENT: Final = 60 * 10**9
@@ -49,6 +50,7 @@ class PolledDevice:
         outbox: Outbox,
         writer: Writer,
         clock: Clock,
+        clock_watch: ClockWatch,
         phase: int = 0,
     ) -> None:
         self.device = device
@@ -60,12 +62,14 @@ class PolledDevice:
         self._flagged = flagged
         self._writer = writer
         self._clock = clock
+        self._clock_watch = clock_watch
         self._phase = phase
         self._facts_due = True
         self._facts_after = 0
         self._facts_failures = 0
         self._trouble = ""
         self._failures = 0
+        self._has_answered = False
         self._silent_since: int | None = None
         self._link_since = clock.now()
         self._stopping = False
@@ -137,13 +141,13 @@ class PolledDevice:
         cost: what the failure took of the line. Where nobody answers there is nobody to spare.
         """
         failing = self._bus.failing
-        if self._failures < _PATIENCE:
+        if self._failures < (_PATIENCE if self._has_answered else 1):
             failing.discard(self.device.name)
             return 0
         failing.add(self.device.name)
         if len(failing) == self._bus.devices:
             return 0
-        return min(3 * cost * len(failing), _LONGEST_PAUSE)
+        return min((4 * len(failing) - 1) * cost, _LONGEST_PAUSE)
 
     async def _poll(self, poller: Poller, due: int) -> None:
         """One attempt; a device that does not answer costs one time-out."""
@@ -205,6 +209,7 @@ class PolledDevice:
             self.outbox.event("warning", "link", str(error))
 
     def _tell_recovery(self) -> None:
+        self._has_answered = True
         if self._silent_since is None:
             return
         silent = self._now() - self._silent_since
@@ -221,6 +226,7 @@ class PolledDevice:
             return
         instant = self._clock.now()
         self.outbox.note(link_entry(self.device.name, self._link_since, instant, self._tally))
+        self._clock_watch.report(instant)
         self._link_since = instant
         self._tally.reset()
 

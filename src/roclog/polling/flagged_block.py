@@ -139,7 +139,9 @@ class FlaggedBlock:
 
     async def _look(self) -> Verdict:
         answer = await self._bus.transact(self._unit, self._request, self._tally, due=self._due)
-        reading = Reading(words(answer.pdu), answer.asked, answer.read, self._quiet_at)
+        reading = Reading(
+            words(answer.pdu), answer.asked, answer.began, answer.read, self._quiet_at
+        )
         seen = self._seen(reading)
         candidate = self._memory.candidate
         if candidate is not None and candidate.payload != seen.payload:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,6 +14,7 @@ from roclog.recording.dedupe import digest
 from roclog.recording.protobuf import UndecodableError, nanoseconds
 from roclog.recording.records import Channel, Clear, Event, Gap, Link, Record, Sample
 from roclog.schema import (
+    ANSWERED,
     CLEAR,
     GAP,
     LINK,
@@ -55,6 +57,8 @@ _SAMPLE_FIELDS: Final = (
     ("raw", RAW_NUMBER, FieldDescriptor.TYPE_BYTES),
 )
 _COMMON: Final = frozenset(name for name, _, _ in _SAMPLE_FIELDS)
+_LATER: Final = (MISSING, ANSWERED)
+"""Fields that not every version has."""
 _MISSING: Final = _described([MISSING])
 _KINDS: Final = {
     GAP.name: ("gap", _described(GAP.fields[:4])),
@@ -119,8 +123,8 @@ class ChannelDecoder:
             self.has_key = kind == "sample" and self._reader.has(_SAMPLE_FIELDS)
             if self.has_key:
                 names = tuple(name for name in names if name not in _COMMON)
-                if self._reader.has(_MISSING):
-                    names = tuple(name for name in names if name != MISSING.name)
+                later = [field for field in _LATER if self._reader.has(_described([field]))]
+                names = tuple(name for name in names if name not in [f.name for f in later])
         metadata = record.metadata
         unit = "unit."
         return Channel(
@@ -159,6 +163,11 @@ class ChannelDecoder:
             return self._foreign
         self._names = self.channel.fields
         self._get = attrgetter("seq", "raw", *self._names)
+        self._enums = {
+            field.name: {value.number: value.name.lower() for value in kind.values}
+            for field in self._fields_of_names()
+            if (kind := field.enum_type) is not None
+        }
         self._of_point = _fields_of_points(self._points, self._names)
         has_missing = self._reader is not None and self._reader.has(_MISSING)
         return self._sample_with_missing if has_missing else self._sample
@@ -174,7 +183,7 @@ class ChannelDecoder:
 
     def _sample(self, message: Message, m: Any) -> Sample:
         seq, raw, *values = self._get(m)
-        return Sample(
+        sample = Sample(
             topic=self.channel.topic,
             device=self.channel.device,
             block=self.channel.block,
@@ -194,6 +203,14 @@ class ChannelDecoder:
             raw=raw,
             values=dict(zip(self._names, values, strict=True)),
         )
+        for name, words in self._enums.items():
+            number: Any = sample.values[name]
+            sample.values[name] = words.get(number, number)
+        return sample
+
+    def _fields_of_names(self) -> list[FieldDescriptor]:
+        assert self._reader is not None
+        return [self._reader.descriptor.fields_by_name[name] for name in self._names]
 
     def _point(self, mask: int) -> str | None:
         index = mask.bit_length() - 1
@@ -302,5 +319,4 @@ def _payload_ranges(text: str | None) -> list[tuple[int, int]] | None:
 def _fields_of_points(points: list[str], names: tuple[str, ...]) -> list[tuple[str, ...]]:
     """The fields of each point: its own, and those of its bits and parts, which follow it."""
     starts = [names.index(point) if point in names else len(names) for point in points]
-    ends = [*starts[1:], len(names)]
-    return [names[start:end] for start, end in zip(starts, ends, strict=True)]
+    return [names[start:end] for start, end in pairwise([*starts, len(names)])]

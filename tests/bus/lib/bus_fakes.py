@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from wire import mbap_frame, rtu_frame
 
-from roclog.bus.bus import Bus, Framing, Timing
+from roclog.bus.bus import Bus
 from roclog.bus.link import Link
+from roclog.bus.timing import Framing, Timing
 from roclog.clock import Instant
 from roclog.modbus.request import ReadRegisters, WriteRegister
 

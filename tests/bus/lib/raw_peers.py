@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, ClassVar, cast
 
 from wire import mbap_frame, rtu_frame
 
-from roclog.bus.bus import Bus, Framing, Timing
+from roclog.bus.bus import Bus
 from roclog.bus.serial_port import SerialLink
 from roclog.bus.tcp import TcpLink
+from roclog.bus.timing import Framing, Timing
 from roclog.bus.udp import UdpLink
 from roclog.clock import SystemClock
 

@@ -10,23 +10,28 @@ from bench.process import PATIENCE, Child, until
 from bench.truth import Truth
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from typing import Self
 
 _LAUNCHER = Path(__file__).with_name("roc_process.py")
 
 
 class Roc:
-    """A device with a name. Options are those of tests/peers/roc.py, by their Python names."""
+    """A device with a name. Options are those of tests/peers/roc.py, by their Python names.
+
+    One more is ``under``: a command that runs the device, such as ``ip netns exec``.
+    """
 
     def __init__(
         self, folder: Path, name: str = "roc1", *, line: str = "tcp", **options: Any
     ) -> None:
+        under: Sequence[str] = options.pop("under", ())
         self.name = name
         self.line = line
         self.options = options
         self._log = folder / f"{name}.truth.jsonl"
         where = ["--tcp", "127.0.0.1:0"] if line == "tcp" else ["--pty", str(folder / name)]
-        command = [sys.executable, str(_LAUNCHER), *where, "--truth", str(self._log)]
+        command = [*under, sys.executable, str(_LAUNCHER), *where, "--truth", str(self._log)]
         for key, value in options.items():
             if value is not False:
                 command.append("--" + key.replace("_", "-"))

@@ -30,7 +30,10 @@ def until(found: Callable[[], T], what: str, seconds: float = PATIENCE) -> T:
 
 
 class Child:
-    """A process with its own group; stdout and stderr go to files beside each other."""
+    """A process with its own group; stdout and stderr go to files beside each other.
+
+    listens: its standard input stays open until it has ended; otherwise it is empty.
+    """
 
     def __init__(
         self,
@@ -38,13 +41,14 @@ class Child:
         log: Path,
         *,
         environment: Mapping[str, str] | None = None,
+        listens: bool = False,
     ) -> None:
         self.stdout = log.with_suffix(".out")
         self.stderr = log.with_suffix(".err")
         with self.stdout.open("wb") as out, self.stderr.open("ab") as err:
             self._process = subprocess.Popen(
                 command,
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE if listens else subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,
                 env={**os.environ, **(environment or {})},
@@ -96,6 +100,8 @@ class Child:
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
+        if self._process.stdin is not None:
+            self._process.stdin.close()
 
     def __enter__(self) -> Self:
         return self

@@ -1,0 +1,145 @@
+"""Triggers and time sources as a configuration writes them."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import UnsetType
+
+from roclog.config.leaves import shown
+from roclog.config.profiles.register_tables import given
+from roclog.config.reading import suggestion
+from roclog.register_map import (
+    Change,
+    ClearOnRead,
+    Counter,
+    Cp32,
+    Cp56,
+    FlagAndClear,
+    SecondsMicroseconds,
+    SplitCalendar,
+    UnixSeconds,
+    WordOrder,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from roclog.config.profiles.register_tables import (
+        BlockTable,
+        ClearOnReadTable,
+        TimeTable,
+        TriggerTable,
+    )
+    from roclog.config.reading import Problems
+    from roclog.register_map import Point, TimeSource, Trigger
+
+_KINDS: Final = {
+    "flag": {"new", "clear", "payload"},
+    "clear_on_read": set[str](),
+    "counter": {"first", "last"},
+    "change": set[str](),
+}
+"""Each kind of trigger, and the keys that only it has."""
+_SOURCES: Final[dict[str, tuple[type[Any], set[str], set[str]]]] = {
+    "unix": (UnixSeconds, {"offset"}, {"word_order", "epoch"}),
+    "unix_us": (SecondsMicroseconds, {"seconds", "microseconds"}, {"word_order"}),
+    "calendar": (SplitCalendar, set(), {f.name for f in fields(SplitCalendar)} - {"zone"}),
+    "cp56": (Cp56, {"offset"}, {"word_order"}),
+    "cp32": (Cp32, {"offset"}, {"word_order"}),
+}
+"""Each source, the keys it needs and the keys it can have."""
+
+
+def trigger(
+    table: BlockTable, points: tuple[Point, ...], key: str, problems: Problems
+) -> Trigger | None:
+    """None where the file gives none, or where it is not whole; that is reported."""
+    said = table.trigger
+    if isinstance(said, UnsetType):
+        return None
+    kinds = [kind for kind in _KINDS if not isinstance(getattr(said, kind), UnsetType)]
+    if len(kinds) != 1:
+        if not any(problem.key.startswith(f"{key}.") for problem in problems.found):
+            what = " and ".join(kinds) if kinds else "nothing"
+            problems.add(key, f"is {what}, needed is one of {', '.join(_KINDS)}")
+        return None
+    for kind, own in _KINDS.items():
+        for name in sorted(own) if kind != kinds[0] else ():
+            if not isinstance(getattr(said, name), UnsetType):
+                problems.add(f"{key}.{name}", f"only with {kind}")
+    if not isinstance(said.clear_on_read, UnsetType):
+        return _clear_on_read(said.clear_on_read, table)
+    return _trigger(said, points, key, problems)
+
+
+def _trigger(
+    said: TriggerTable, points: tuple[Point, ...], key: str, problems: Problems
+) -> Trigger:
+    """One of those that name points of the block."""
+    if not isinstance(said.counter, UnsetType):
+        return Counter(point=said.counter, **given(said, "first", "last"))
+    if not isinstance(said.change, UnsetType):
+        names = said.change
+        return Change(payload=_ranges(names, points, f"{key}.change", problems) if names else ())
+    chosen = None if isinstance(said.payload, UnsetType) else said.payload
+    payload = _ranges(chosen, points, f"{key}.payload", problems)
+    return FlagAndClear(payload=payload, **given(said, "flag", "new", "clear"))
+
+
+def _clear_on_read(said: ClearOnReadTable, table: BlockTable) -> ClearOnRead | None:
+    where = table.table if isinstance(said.table, UnsetType) else said.table
+    if isinstance(said.address, UnsetType) or isinstance(where, UnsetType):
+        return None
+    mask = 0xFFFF if isinstance(said.mask, UnsetType) else said.mask
+    usual = 1 if isinstance(said.mask, UnsetType) else mask
+    new = usual if isinstance(said.new, UnsetType) else said.new
+    return ClearOnRead(table=where, address=said.address, mask=mask, new=new)
+
+
+def _ranges(
+    names: Iterable[str] | None, points: tuple[Point, ...], key: str, problems: Problems
+) -> tuple[tuple[int, int], ...]:
+    """(first offset, words) of these points, of all where there are no names; neighbours joined."""
+    known = {point.name: point for point in points}
+    words: set[int] = set()
+    for name in known if names is None else names:
+        point = known.get(name)
+        if point is None:
+            problems.add(key, f"no point {shown(name)} in this block{suggestion(name, known)}")
+        else:
+            words.update(range(point.offset, point.offset + point.size))
+    places = sorted(words)
+    breaks = [index for index, (a, b) in enumerate(pairwise(places), start=1) if b > a + 1]
+    edges = [0, *breaks, len(places)]
+    return tuple((places[a], b - a) for a, b in pairwise(edges) if b > a)
+
+
+def time_source(
+    said: TimeTable | UnsetType, key: str, zone: str, problems: Problems
+) -> TimeSource | None:
+    """As ``trigger``."""
+    if isinstance(said, UnsetType) or isinstance(said.source, UnsetType):
+        return None
+    kind, needed, can = _SOURCES[said.source]
+    names = [name for name in said.__struct_fields__ if name != "source"]
+    found = given(said, *names)
+    missing = [name for name in sorted(needed) if name not in found]
+    for name in missing:
+        if not problems.at(f"{key}.{name}"):
+            problems.add(f"{key}.{name}", f"missing, needed for {said.source}")
+    for name in sorted(found.keys() - needed - can):
+        having = [source for source, (_, a, b) in _SOURCES.items() if name in a | b]
+        problems.add(f"{key}.{name}", f"only with source = {' or '.join(map(shown, having))}")
+        del found[name]
+    if missing:
+        return None
+    if "word_order" in found:
+        text = {"AB": "ABCD", "BA": "BADC"}.get(found["word_order"], found["word_order"])
+        found["word_order"] = WordOrder(text)
+    if said.source in ("calendar", "cp56", "cp32"):
+        found["zone"] = zone
+    made: TimeSource = kind(**found)
+    return made

@@ -1,0 +1,249 @@
+"""``profile = "registers"``: a register map written by the user."""
+
+from __future__ import annotations
+
+import re
+import struct
+from decimal import Decimal
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import UnsetType
+
+from roclog.config.leaves import shown
+from roclog.config.profiles.register_tables import PointTable, given
+from roclog.config.profiles.register_triggers import time_source, trigger
+from roclog.config.reading import joined
+from roclog.register_map import (
+    Block,
+    Point,
+    RegisterMap,
+    SerialDefaults,
+    ValidWhen,
+    WordOrder,
+    WordType,
+)
+from roclog.register_map_check import find_flaws
+from roclog.stamps import parse_zone
+from roclog.word_types import CODES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from roclog.config.profiles.register_tables import BlockTable, Registers, ValidWhenTable
+    from roclog.config.reading import Problems
+
+_ANSWER_LIMIT: Final = 10**9
+_ORDERS: Final = {"AB": WordOrder.ABCD, "BA": WordOrder.BADC}
+_BITS: Final = re.compile(r"(\d{1,2})(?:-(\d{1,2}))?", re.ASCII)
+_INTEGER: Final = re.compile(r"-?\d{1,20}|0x[0-9a-fA-F]{1,16}", re.ASCII)
+_NUMBER: Final = re.compile(r"-?\d{1,40}(\.\d{1,40})?([eE][+-]?\d{1,3})?", re.ASCII)
+_DEPENDENT: Final = frozenset({"count", "cycle", "points", "trigger", "valid_when", "blocks"})
+"""Keys that cannot be judged where a point or a block was left out."""
+
+
+def register_map(table: Registers, key: str, problems: Problems) -> RegisterMap | None:
+    """The map, or None with every problem of it, by key path."""
+    if isinstance(table.unit, UnsetType) and not problems.at(f"{key}.unit"):
+        problems.add(f"{key}.unit", "missing, needed is the unit of the device")
+    zone = _zone(table, key, problems)
+    if isinstance(table.blocks, UnsetType):
+        return None
+    device = key.rpartition(".")[2]
+    before = len(problems.found)
+    facts: list[Block] = []
+    samples: list[Block] = []
+    paths: dict[int, tuple[str, list[str]]] = {}
+    whole = True
+    for index, described in enumerate(table.blocks):
+        path = f"{key}.blocks[{index}]"
+        built = _block(described, path, device, zone, problems)
+        if built is None:
+            whole = False
+            continue
+        block, points, complete = built
+        whole = whole and complete
+        (facts if described.read == "once" else samples).append(block)
+        paths[id(block)] = (path, points)
+    places = [paths[id(block)] for block in (*facts, *samples)]
+    made = RegisterMap(
+        name="registers",
+        title="Described in the configuration",
+        source="" if isinstance(table.source, UnsetType) else table.source,
+        unit=1 if isinstance(table.unit, UnsetType) else table.unit,
+        serial=SerialDefaults(baudrate=9600, is_documented=False),
+        answer_limit=_ANSWER_LIMIT
+        if isinstance(table.answer_limit, UnsetType)
+        else table.answer_limit,
+        samples=tuple(samples),
+        facts=tuple(facts),
+    )
+    _tell_flaws(made, key, places, problems, whole=whole)
+    return None if len(problems.found) > before else made
+
+
+def _tell_flaws(
+    made: RegisterMap,
+    key: str,
+    places: list[tuple[str, list[str]]],
+    problems: Problems,
+    *,
+    whole: bool,
+) -> None:
+    for flaw in find_flaws(made):
+        path = f"{key}.blocks"
+        if flaw.block is not None:
+            block, points = places[flaw.block]
+            path = f"{block if flaw.point is None else points[flaw.point]}.{flaw.key}"
+        told = any(f"{problem.key}.".startswith(f"{path}.") for problem in problems.found)
+        if not told and (whole or flaw.key not in _DEPENDENT):
+            problems.add(path, flaw.text)
+
+
+def _zone(table: Registers, key: str, problems: Problems) -> str:
+    if isinstance(table.timezone, UnsetType):
+        return "UTC"
+    try:
+        parse_zone(table.timezone)
+    except ValueError as error:
+        problems.add(f"{key}.timezone", str(error))
+        return "UTC"
+    return table.timezone
+
+
+def _block(
+    table: BlockTable, key: str, device: str, zone: str, problems: Problems
+) -> tuple[Block, list[str], bool] | None:
+    """The block, the key path of each of its points, and whether none was left out."""
+    name, where, address = table.name, table.table, table.address
+    points: dict[str, Point] = {}
+    if not isinstance(table.points, UnsetType):
+        for index, described in enumerate(table.points):
+            path = f"{key}.points[{index}]"
+            point = _point(described, path, problems)
+            if point is not None:
+                points[path] = point
+    if isinstance(name, UnsetType) or isinstance(where, UnsetType):
+        return None
+    if isinstance(address, UnsetType) or isinstance(table.points, UnsetType):
+        return None
+    made = tuple(points.values())
+    timed = time_source(table.time, f"{key}.time", zone, problems)
+    block = Block(
+        name=name,
+        message=f"device_{device.replace('-', '_')}_{name}",
+        table=where,
+        address=address,
+        count=_count(table, made),
+        points=made,
+        time=timed,
+        trigger=trigger(table, made, f"{key}.trigger", problems),
+        **given(table, "title", "period", "atomic"),
+    )
+    return block, list(points), len(points) == len(table.points)
+
+
+def _count(table: BlockTable, points: tuple[Point, ...]) -> int:
+    """As given, else up to the last register that anything names."""
+    if not isinstance(table.count, UnsetType):
+        return table.count
+    ends = [point.offset + point.size for point in points]
+    if not isinstance(table.trigger, UnsetType) and isinstance(table.trigger.flag, int):
+        ends.append(table.trigger.flag + 1)
+    time = table.time
+    if not isinstance(time, UnsetType):
+        wide = {"cp56": 4, "unix": 2, "cp32": 2, "unix_us": 2}.get(str(time.source), 1)
+        names = set(time.__struct_fields__) - {"source", "word_order", "year_base", "epoch"}
+        ends += [offset + wide for offset in given(time, *names).values()]
+    return max(ends, default=1)
+
+
+def _point(table: PointTable, key: str, problems: Problems) -> Point | None:
+    name, offset, type_ = table.name, table.offset, table.type
+    if isinstance(name, UnsetType) or isinstance(offset, UnsetType) or isinstance(type_, UnsetType):
+        return None
+    more: dict[str, Any] = given(table, "words", "unit", "title")
+    for number in ("scale", "add"):
+        value = getattr(table, number)
+        if not isinstance(value, UnsetType):
+            more[number] = _exact(value)
+    if not isinstance(table.word_order, UnsetType):
+        more["word_order"] = order(table.word_order)
+    if not isinstance(table.range, UnsetType):
+        more["low"], more["high"] = map(_exact, table.range)
+    if not isinstance(table.bits, UnsetType):
+        more["bits"], more["parts"] = _bits(table.bits, f"{key}.bits", problems)
+    if not isinstance(table.meanings, UnsetType):
+        more["meanings"] = tuple(_meanings(table.meanings, f"{key}.meanings", problems))
+    if not isinstance(table.sentinels, UnsetType):
+        found = _sentinels(table.sentinels, type_, f"{key}.sentinels", problems)
+        more["sentinels"] = tuple(found)
+    if not isinstance(table.valid_when, UnsetType):
+        more["valid_when"] = _valid_when(table.valid_when)
+    return Point(name=name, offset=offset, type=type_, **more)
+
+
+def order(text: str) -> WordOrder:
+    """Of the word in the file; AB and BA are written for one register."""
+    return _ORDERS.get(text) or WordOrder(text)
+
+
+def _exact(number: float) -> Decimal:
+    """The decimal that the file says."""
+    return Decimal(repr(number))
+
+
+def _valid_when(table: ValidWhenTable) -> ValidWhen | None:
+    if isinstance(table.point, UnsetType) or isinstance(table.values, UnsetType):
+        return None
+    return ValidWhen(point=table.point, values=tuple(table.values))
+
+
+def _bits(
+    table: dict[str, str], key: str, problems: Problems
+) -> tuple[tuple[tuple[int, str], ...], tuple[tuple[int, int, str], ...]]:
+    bits: list[tuple[int, str]] = []
+    parts: list[tuple[int, int, str]] = []
+    for text, name in table.items():
+        match = _BITS.fullmatch(text)
+        if match is None or (match[2] is not None and int(match[2]) <= int(match[1])):
+            problems.add(joined(key, text), "is not a bit like 0, or bits like 8-11, lowest first")
+        elif match[2] is None:
+            bits.append((int(match[1]), name))
+        else:
+            parts.append((int(match[1]), int(match[2]) - int(match[1]) + 1, name))
+    return tuple(bits), tuple(parts)
+
+
+def _meanings(table: dict[str, str], key: str, problems: Problems) -> Iterator[tuple[int, str]]:
+    for text, meaning in table.items():
+        if _INTEGER.fullmatch(text) is None:
+            problems.add(joined(key, text), f"{shown(text)} is not a whole number")
+        else:
+            yield int(text, 0 if text.startswith("0x") else 10), meaning
+
+
+def _sentinels(
+    table: dict[str, str], type_: WordType, key: str, problems: Problems
+) -> Iterator[tuple[Decimal, str]]:
+    for text, meaning in table.items():
+        if text.startswith("0x") and _INTEGER.fullmatch(text):
+            number = _of_words(int(text, 16), type_)
+            if number is None:
+                problems.add(joined(key, text), f"these words are no number of {type_}")
+            else:
+                yield number, meaning
+        elif _NUMBER.fullmatch(text):
+            yield Decimal(text), meaning
+        else:
+            problems.add(joined(key, text), f"{shown(text)} is not a number")
+
+
+def _of_words(pattern: int, type_: WordType) -> Decimal | None:
+    """The number of a type that has these words, most significant first."""
+    size = 2 * type_.words
+    if pattern >> 8 * size or type_ not in CODES:
+        return None
+    if type_.is_bcd:
+        return Decimal(f"{pattern:x}") if f"{pattern:x}".isdecimal() else None
+    number = Decimal(struct.unpack(f">{CODES[type_]}", pattern.to_bytes(size))[0])
+    return number if number.is_finite() else None

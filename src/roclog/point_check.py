@@ -1,0 +1,211 @@
+"""What every point of a register map must satisfy."""
+
+from __future__ import annotations
+
+import re
+from decimal import Decimal
+from typing import TYPE_CHECKING, Final
+
+from roclog.register_map import MAX_RANGED_POINTS, WordOrder, WordType
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from roclog.register_map import Block, Point
+
+NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,47}")
+"""Of points, bits and blocks."""
+RESERVED_NAMES: Final = frozenset(
+    (
+        "seq",
+        "epoch",
+        "origin",
+        "redelivered",
+        "asked_at",
+        "read_at",
+        "read_at_monotonic",
+        "previous_read_at",
+        "device_time",
+        "time_flags",
+        "doubtful",
+        "raw",
+        "missing",
+        "answer_began_at",
+        "log_time",
+        "publish_time",
+    )
+)
+"""Fields that every sample has; a point cannot be called so."""
+_UNIT: Final = re.compile(r"[!-~]{0,32}")
+_JUDGED: Final = frozenset({WordType.MINUTES_SECONDS, WordType.MONTH_DAY, WordType.TEXT})
+"""Types of which some words are illegal, besides the decimal digits, which can be missing."""
+_MIN_SCALE: Final = Decimal("1e-30")
+_MAX_SCALE: Final = Decimal("1e30")
+_LARGEST_FLOAT: Final = {
+    WordType.F32: Decimal("3.4028234663852886e38"),
+    WordType.F64: Decimal("1.7976931348623157e308"),
+}
+_DIGITS: Final = {WordType.BCD16: 4, WordType.BCD32: 8, WordType.BCD64: 16}
+
+
+def limits(type_: WordType) -> tuple[int, int]:
+    """Smallest and largest number of an integer type, or of decimal digits."""
+    if type_ is WordType.BIT:
+        return 0, 1
+    if type_.is_bcd:
+        return 0, 10 ** _DIGITS[type_] - 1
+    bits = 16 * type_.words
+    if type_.value.startswith("int"):
+        return -(1 << bits - 1), (1 << bits - 1) - 1
+    return 0, (1 << bits) - 1
+
+
+def point_flaws(
+    point: Point, block: Block, index: int, *, is_fact: bool
+) -> Iterator[tuple[str, str]]:
+    """(attribute, what is wrong with it), for the point at ``index`` of its block."""
+    for name in point.field_names:
+        if not NAME.fullmatch(name) or name in RESERVED_NAMES:
+            yield ("name" if name == point.name else "bits"), f"{name!r} cannot be a name"
+    if point.offset < 0 or point.size < 1 or point.offset + point.size > block.count:
+        what = "bits" if block.table.has_bits else "words"
+        yield "offset", f"offset {point.offset} with {point.size} {what} is outside the block"
+    if point.words and point.type is not WordType.TEXT:
+        yield "words", "only text has a number of words"
+    if (point.type is WordType.BIT) != block.table.has_bits:
+        yield "type", f"{point.type} is not a type of {block.table.replace('_', ' ')}"
+    if point.type is WordType.TEXT and not is_fact:
+        yield "type", f"text ({point.name}) is for facts only, which are read once"
+    if not _UNIT.fullmatch(point.unit):
+        yield "unit", f"unit {point.unit!r} is not UCUM: degrees Celsius are Cel, micro is u"
+    judged = point.low is not None or point.type in _JUDGED
+    if (judged or point.can_be_missing) and index >= MAX_RANGED_POINTS:
+        text = (
+            f"only the first {MAX_RANGED_POINTS} points of a block can have a range or be missing"
+        )
+        yield "offset", text
+    yield from _order_flaws(point)
+    yield from _scale_flaws(point)
+    yield from _range_flaws(point)
+    yield from _bit_flaws(point)
+    yield from _meaning_flaws(point)
+    yield from _sentinel_flaws(point)
+    yield from _gate_flaws(point, block)
+
+
+def _order_flaws(point: Point) -> Iterator[tuple[str, str]]:
+    order = point.word_order
+    if order is None:
+        return
+    if point.type is WordType.BIT:
+        yield "word_order", "a bit has no order"
+    elif point.type.words == 1 and order not in (WordOrder.ABCD, WordOrder.BADC):
+        yield "word_order", f"{order} is not an order of one register or of text: ABCD or BADC"
+
+
+def _scale_flaws(point: Point) -> Iterator[tuple[str, str]]:
+    is_number = point.type.is_integer or point.type.is_float or point.type.is_bcd
+    if point.scale is not None:
+        if not (point.scale.is_finite() and _MIN_SCALE <= point.scale <= _MAX_SCALE):
+            text = f"scale {point.scale} is not a number from {_MIN_SCALE} to {_MAX_SCALE}"
+            yield "scale", text
+        if not is_number:
+            yield "scale", f"{point.type} cannot have a scale"
+    if point.add is not None:
+        if not (point.add.is_finite() and abs(point.add) <= _MAX_SCALE):
+            yield "add", f"add {point.add} is not a number up to {_MAX_SCALE}"
+        if not is_number:
+            yield "add", f"nothing can be added to {point.type}"
+
+
+def _bit_flaws(point: Point) -> Iterator[tuple[str, str]]:
+    bits = [bit for bit, _ in point.bits]
+    width = 16 * point.size
+    outside = [bit for bit in bits if not 0 <= bit < width]
+    yield from (("bits", f"bit {bit} is outside {width} bits") for bit in outside)
+    for first, size, name in point.parts:
+        if first < 0 or not 1 <= size <= 32 or first + size > width:
+            yield "bits", f"{name}: bits {first} to {first + size - 1} are not 1 to 32 of {width}"
+        else:
+            bits += range(first, first + size)
+    twice = sorted({bit for bit in bits if bits.count(bit) > 1})
+    yield from (("bits", f"bit {bit}: named twice") for bit in twice)
+    is_unsigned = point.type in (WordType.U16, WordType.U32, WordType.U64)
+    if (point.bits or point.parts) and (point.is_scaled or not is_unsigned):
+        yield "bits", "bits need an unscaled unsigned integer"
+
+
+def _range_flaws(point: Point) -> Iterator[tuple[str, str]]:
+    if (point.low is None) != (point.high is None):
+        yield "range", "low and high go together"
+    if point.low is None or point.high is None:
+        return
+    if not (point.low.is_finite() and point.high.is_finite()):
+        yield "range", f"{point.low} to {point.high} is not a range"
+    elif point.low > point.high:
+        yield "range", f"low {point.low} is above high {point.high}"
+    if point.type in (WordType.TEXT, WordType.BIT):
+        yield "range", f"{point.type} has no range"
+
+
+def _meaning_flaws(point: Point) -> Iterator[tuple[str, str]]:
+    values = [value for value, _ in point.meanings]
+    twice = sorted({value for value in values if values.count(value) > 1})
+    yield from (("meanings", f"{value}: two meanings") for value in twice)
+    if values and point.type in (WordType.TEXT, WordType.F32, WordType.F64):
+        yield "meanings", f"{point.type} is not an enumeration"
+
+
+def _sentinel_flaws(point: Point) -> Iterator[tuple[str, str]]:
+    numbers = [number for number, _ in point.sentinels]
+    if numbers and not (point.type.is_integer or point.type.is_float or point.type.is_bcd):
+        yield "sentinels", f"{point.type} cannot have sentinels"
+        return
+    if numbers and (point.bits or point.parts):
+        yield "sentinels", "a word of bits cannot have sentinels"
+    for number in numbers:
+        if numbers.count(number) > 1:
+            yield "sentinels", f"sentinel {number}: given twice"
+        elif not _fits(number, point.type):
+            yield "sentinels", f"sentinel {number} is not a number of {point.type}"
+
+
+def _fits(number: Decimal, type_: WordType) -> bool:
+    if not number.is_finite():
+        return False
+    if type_.is_float:
+        return abs(number) <= _LARGEST_FLOAT[type_]
+    low, high = limits(type_)
+    return number == int(number) and low <= number <= high
+
+
+def _gate_flaws(point: Point, block: Block) -> Iterator[tuple[str, str]]:
+    condition = point.valid_when
+    if condition is None:
+        return
+    if point.type is WordType.TEXT:
+        yield "valid_when", "text is always valid"
+    owner = next((p for p in block.points if condition.point in p.field_names), None)
+    if owner is None:
+        yield "valid_when", f"no point {condition.point} in this block"
+        return
+    if owner.name == point.name:
+        yield "valid_when", "a point cannot depend on itself"
+    elif owner.can_be_missing:
+        yield "valid_when", f"{condition.point} can be missing itself"
+    if owner.is_scaled or not (owner.type.is_integer or owner.type is WordType.BIT):
+        yield "valid_when", f"{condition.point} is not an unscaled integer or a bit"
+        return
+    if not condition.values:
+        yield "valid_when", "no values, so it would never be valid"
+    low, high = _field_limits(owner, condition.point)
+    for value in condition.values:
+        if not low <= value <= high:
+            yield "valid_when", f"{condition.point} is never {value}"
+
+
+def _field_limits(owner: Point, name: str) -> tuple[int, int]:
+    """Of the point itself, one of its bits, or one of its parts."""
+    if name == owner.name:
+        return limits(owner.type)
+    return 0, next(((1 << size) - 1 for _, size, part in owner.parts if part == name), 1)

@@ -1,0 +1,235 @@
+"""Inputs that carry the time of their last change: every change of every input is a message."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from roclog.changes import Change, ChangeKind, ChangeMemory
+from roclog.errors import ExceptionAnswer
+from roclog.modbus.stamped import Layout, LayoutProbe, parse, plausible_layout, split
+from roclog.schema import Reason
+from roclog.stamps.decoder import TOLERANCE
+from roclog.time_flags import TimeFlag, is_trusted
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from roclog.bus.bus import Answer, Bus
+    from roclog.bus.tally import Tally
+    from roclog.clock import Instant
+    from roclog.modbus.request import ReadStamped
+    from roclog.outbox import Outbox
+    from roclog.polling.clock_watch import ClockWatch
+    from roclog.recording.entries import Entry
+    from roclog.register_map import StampedInputs
+    from roclog.stamped_messages import StampedMaker
+    from roclog.stamps import Stamp, StampDecoder
+
+_DAY: Final = 86_400 * 10**9
+_PROBED_PAIRS: Final = 8
+
+
+class _Piece:
+    """One request of a list, and when its inputs were last read."""
+
+    def __init__(self, request: ReadStamped, layout: Layout | None) -> None:
+        self.request = request
+        self.layout = layout
+        self.last: Instant | None = None
+
+
+class StampedTable:
+    """All lists of one table of a device.
+
+    memory: the states on disk. read_until: UTC ns of an earlier run's last read, 0 = none.
+    """
+
+    def __init__(
+        self,
+        *,
+        unit: int,
+        bus: Bus,
+        tally: Tally,
+        lists: Sequence[StampedInputs],
+        maker: StampedMaker,
+        decoder: StampDecoder,
+        memory: ChangeMemory,
+        clock: ClockWatch,
+        outbox: Outbox,
+        period: int,
+        read_until: int,
+    ) -> None:
+        self.period = period
+        self.outbox = outbox
+        self._unit = unit
+        self._bus = bus
+        self._tally = tally
+        self._maker = maker
+        self._decoder = decoder
+        self._memory = memory
+        self._clock = clock
+        self._read_until = read_until
+        self._last: Instant | None = None
+        self._waiting: dict[int, tuple[Entry, Change]] = {}
+        self._refused: set[ReadStamped] = set()
+        self._unprobed = [inputs for inputs in lists if inputs.layout is None]
+        self._pieces = [
+            _Piece(request, inputs.layout)
+            for inputs in lists
+            for request in split(inputs.mei, inputs.address, inputs.count)
+        ]
+        outbox.on_give_up = self._forget
+
+    @property
+    def samples(self) -> int:
+        return self._maker.seq
+
+    async def turn(self, due: int) -> None:
+        """Read every list once.
+
+        Raises:
+            DeviceError: no answer, or a wrong one; the inputs read before it are kept.
+        """
+        self._tell_given_up()
+        while self._unprobed:
+            await self._probe(self._unprobed[0], due)
+            del self._unprobed[0]
+        try:
+            for piece in self._pieces:
+                try:
+                    answer = await self._bus.transact(
+                        self._unit, piece.request, self._tally, due=due
+                    )
+                except ExceptionAnswer as refusal:
+                    self._tell_refusal(piece.request, refusal)
+                    continue
+                self._tell_acceptance(piece.request)
+                self._take(piece, answer)
+        finally:
+            await self._commit()
+
+    def close(self) -> None:
+        if self._last is not None and self.outbox.empty:
+            carry = self._maker.carry(self._memory, self._last.utc)
+            self.outbox.checkpoint(self._maker.topic, carry)
+
+    def _take(self, piece: _Piece, answer: Answer) -> None:
+        last, piece.last = piece.last, answer.read
+        self._tell_blind(last, answer.read)
+        self._last = answer.read
+        layout, ambiguous = self._layout(piece, answer)
+        seen = parse(piece.request, answer.pdu, layout)
+        since = None if last is None else answer.read.utc - (answer.read.monotonic - last.monotonic)
+
+        def resolve(octets: bytes, kind: ChangeKind) -> tuple[int, int]:
+            stamp = self._resolve(octets, kind, since, answer.read.utc)
+            if ambiguous:
+                stamp = stamp.marked(TimeFlag.LAYOUT_AMBIGUOUS)
+            return stamp.device_time, int(stamp.flags)
+
+        for point in seen.points:
+            change = self._memory.judge(point.address, point.value, point.stamp, resolve)
+            if change is not None:
+                self._record(change, answer, since)
+                self._follow_clock(change, last, answer.read)
+
+    def _resolve(self, octets: bytes, kind: ChangeKind, since: int | None, read_at: int) -> Stamp:
+        """A baseline without a date is taken for one of the last 24 hours, and is marked."""
+        if kind is ChangeKind.BASELINE or since is None:
+            since = read_at - _DAY + 2 * TOLERANCE
+        return self._decoder.decode(octets, read_at=read_at, changed_after=since)
+
+    def _record(self, change: Change, answer: Answer, since: int | None) -> None:
+        entry = self._maker.message(change, answer, since or 0)
+        self._memory.keep(change)
+        self._waiting[id(entry)] = entry, change
+        self.outbox.add(entry)
+
+    def _follow_clock(self, change: Change, last: Instant | None, read: Instant) -> None:
+        """What changed since the last read was stamped since then."""
+        fresh = change.kind in (ChangeKind.CHANGED, ChangeKind.RESTAMPED)
+        if last is not None and fresh and change.state.device_time:
+            self._clock.note(change.state.device_time, last, read)
+
+    async def _commit(self) -> None:
+        self._maker.update(self._memory, self._last.utc if self._last is not None else 0)
+        if await self.outbox.flush():
+            for _, change in self._waiting.values():
+                self._memory.committed(change)
+            self._waiting.clear()
+
+    def _forget(self, entry: Entry) -> None:
+        """A change that the disk did not take in time: the next read shows that input again."""
+        _, change = self._waiting.pop(id(entry), (entry, None))
+        if change is not None:
+            self._memory.give_up(change)
+
+    def _tell_given_up(self) -> None:
+        lost = self.outbox.take_given_up()
+        if lost is not None:
+            first, last, count = lost
+            self.outbox.add(self._maker.gap(first, last, count, Reason.STORAGE, possible=False))
+
+    def _tell_blind(self, last: Instant | None, read: Instant) -> None:
+        """Of what changed more than once while nobody read, only the last state is known."""
+        if self._last is None and self._read_until:
+            since = min(self._read_until, read.utc)
+            self.outbox.add(self._maker.gap(since, read.utc, 0, Reason.DOWNTIME, possible=True))
+        elif last is not None and self._last is not None:
+            blind = read.monotonic - self._last.monotonic
+            if blind > 1.5 * self.period and last.monotonic == self._last.monotonic:
+                since = read.utc - blind
+                self.outbox.add(self._maker.gap(since, read.utc, 0, Reason.UNREAD, possible=True))
+
+    def _layout(self, piece: _Piece, answer: Answer) -> tuple[Layout, bool]:
+        """How to read an answer, and whether that is a guess."""
+        if piece.layout is not None or piece.request.mei.is_discrete:
+            return piece.layout or Layout.INTERLEAVED, False
+        read_at = answer.read.utc
+
+        def is_plausible(octets: bytes) -> bool:
+            stamp = self._decoder.decode(octets, read_at=read_at, changed_after=read_at)
+            return is_trusted(int(stamp.flags)) and not stamp.flags & TimeFlag.FUTURE
+
+        found = plausible_layout(piece.request, answer.pdu, is_plausible)
+        if found is not None:
+            return found, False
+        return Layout.INTERLEAVED, piece.request.count > 1
+
+    async def _probe(self, inputs: StampedInputs, due: int) -> None:
+        """Ask the device for its layout, once."""
+        addresses = range(inputs.address, inputs.address + max(1, inputs.count - 1))
+        probe = LayoutProbe(inputs.mei, addresses[:_PROBED_PAIRS])
+        while (request := probe.request) is not None:
+            try:
+                answer = await self._bus.transact(self._unit, request, self._tally, due=due)
+            except ExceptionAnswer:
+                probe.skip()
+            else:
+                probe.take(answer.pdu)
+        what = f"{inputs.count} {inputs.table} from {inputs.address} on"
+        if probe.layout is None:
+            text = f"the layout of {what} cannot be told by asking; each answer is judged by itself"
+            self.outbox.event("warning", "layout", text)
+            return
+        self.outbox.event("info", "layout", f"the layout of {what} is {probe.layout}")
+        end = inputs.address + inputs.count
+        for piece in self._pieces:
+            if piece.request.mei is inputs.mei and inputs.address <= piece.request.address < end:
+                piece.layout = probe.layout
+
+    def _tell_refusal(self, request: ReadStamped, refusal: ExceptionAnswer) -> None:
+        if request not in self._refused:
+            self._refused.add(request)
+            text = f"{_named(request)} refused, asked for all the same: {refusal}"
+            self.outbox.event("warning", "refused", text)
+
+    def _tell_acceptance(self, request: ReadStamped) -> None:
+        if request in self._refused:
+            self._refused.discard(request)
+            self.outbox.event("info", "refused", f"{_named(request)} answered again")
+
+
+def _named(request: ReadStamped) -> str:
+    last = request.address + request.count - 1
+    return f"MEI type 0x{request.mei:02X}, inputs {request.address} to {last}"

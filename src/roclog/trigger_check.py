@@ -1,0 +1,148 @@
+"""What every trigger and every time source of a register map must satisfy."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from roclog.register_map import (
+    Change,
+    ClearOnRead,
+    Counter,
+    Cp32,
+    Cp56,
+    FlagAndClear,
+    SecondsMicroseconds,
+    SplitCalendar,
+    Table,
+    UnixSeconds,
+    WordType,
+)
+from roclog.stamps import parse_zone
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from roclog.register_map import Block
+
+_PARTS: Final = ("year", "month", "day", "hour", "minute", "second", "millisecond")
+_NEEDED: Final = frozenset(_PARTS[:4])
+_COUNTERS: Final = frozenset({WordType.U16, WordType.U32, WordType.U64})
+
+
+def trigger_flaws(block: Block) -> Iterator[tuple[str, str]]:
+    """(attribute, what is wrong with it)."""
+    trigger = block.trigger
+    found: Iterable[str] = ()
+    match trigger:
+        case FlagAndClear():
+            found = _flag(block, trigger)
+        case ClearOnRead():
+            found = _clear_on_read(trigger)
+        case Counter():
+            found = _counter(block, trigger)
+        case Change():
+            found = _ranges("change", trigger.payload, block)
+    yield from (("trigger", text) for text in found)
+
+
+def time_flaws(block: Block) -> Iterator[tuple[str, str]]:
+    """(attribute, what is wrong with it)."""
+    if block.time is not None and block.table.has_bits:
+        yield "time", "time: bits hold no time"
+    elif block.time is not None:
+        yield from (("time", text) for text in _time(block))
+
+
+def _flag(block: Block, trigger: FlagAndClear) -> Iterator[str]:
+    yield from _outside("flag", (trigger.flag,), block)
+    if trigger.new == trigger.clear:
+        yield "flag: new and clear are the same value"
+    if not (0 <= trigger.new <= 0xFFFF and 0 <= trigger.clear <= 0xFFFF):
+        yield "flag: new and clear must fit 16 bits"
+    if block.table is not Table.HOLDING_REGISTERS:
+        yield "flag: only a holding register can be cleared"
+    if not trigger.payload:
+        yield "payload: empty, so a changed sample could not be told from a repeat"
+    yield from _ranges("payload", trigger.payload, block)
+    if any(first <= trigger.flag < first + words for first, words in trigger.payload):
+        yield "payload: contains the flag"
+
+
+def _clear_on_read(trigger: ClearOnRead) -> Iterator[str]:
+    if not 0 <= trigger.address <= 0xFFFF:
+        yield f"clear on read: address {trigger.address} does not exist"
+    if not 1 <= trigger.mask <= 0xFFFF:
+        yield f"clear on read: mask {trigger.mask} is not 1 to 65535"
+    elif trigger.new & ~trigger.mask:
+        yield f"clear on read: the flag can never be {trigger.new} with mask {trigger.mask}"
+
+
+def _counter(block: Block, trigger: Counter) -> Iterator[str]:
+    point = next((point for point in block.points if point.name == trigger.point), None)
+    if point is None:
+        yield f"counter: no point {trigger.point} in this block"
+        return
+    if point.type not in _COUNTERS or point.is_scaled or point.can_be_missing:
+        yield f"counter: {trigger.point} is not an unscaled unsigned integer that is always there"
+        return
+    largest = (1 << 16 * point.size) - 1
+    last = largest if trigger.last is None else trigger.last
+    if not 0 <= trigger.first < last <= largest:
+        yield f"counter: {trigger.first} to {last} is not a range of {point.type}"
+
+
+def _ranges(what: str, ranges: Iterable[tuple[int, int]], block: Block) -> Iterator[str]:
+    for first, words in ranges:
+        if words < 1:
+            yield f"{what}: {words} words from offset {first}"
+            continue
+        yield from _outside(what, (first, first + words - 1), block)
+
+
+def _time(block: Block) -> Iterator[str]:
+    offsets: list[int] = []
+    match block.time:
+        case SplitCalendar() as calendar:
+            offsets = [offset for _, offset in calendar.words]
+            yield from _calendar(calendar)
+            yield from _zone(calendar.zone)
+        case UnixSeconds(offset=offset):
+            offsets = [offset, offset + 1]
+        case SecondsMicroseconds(seconds=high, microseconds=low):
+            offsets = [high, high + 1, low, low + 1]
+        case Cp56(offset=offset, zone=zone):
+            offsets = list(range(offset, offset + 4))
+            yield from _zone(zone)
+        case Cp32(offset=offset, zone=zone):
+            offsets = [offset, offset + 1]
+            yield from _zone(zone)
+            if block.trigger is None:
+                yield "time: a stamp without a date needs a trigger that tells when it changed"
+    yield from _outside("time", offsets, block)
+    if len(set(offsets)) < len(offsets):
+        yield "time: one register is used twice"
+
+
+def _calendar(calendar: SplitCalendar) -> Iterator[str]:
+    given: list[str] = []
+    for name, _ in calendar.words:
+        whole = {"millisecond_of_minute": ["second", "millisecond"]}
+        given += whole.get(name, name.split("_"))
+    for part in _PARTS:
+        if given.count(part) > 1:
+            yield f"time: the {part} is given twice"
+        elif part in _NEEDED and part not in given:
+            yield f"time: there is no {part}"
+
+
+def _zone(name: str) -> Iterator[str]:
+    try:
+        parse_zone(name)
+    except ValueError as error:
+        yield f"time: {error}"
+
+
+def _outside(what: str, offsets: Iterable[int], block: Block) -> Iterator[str]:
+    for offset in offsets:
+        if not 0 <= offset < block.count:
+            yield f"{what}: offset {offset} is outside the block"
