@@ -13,6 +13,7 @@ from rich.console import Console
 sys.path.insert(0, str(Path(__file__).parent / "lib"))
 
 from yardstick import late_answers, report, serial_line, tcp_polls
+from yardstick.processes import MALLOC, choose_malloc
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,10 +32,12 @@ def main() -> int:
     parser.add_argument("--only", choices=PARTS, action="append", help="these parts (repeatable)")
     parser.add_argument("--quick", action="store_true", help="fewer and shorter rounds")
     parser.add_argument("--json", type=Path, metavar="FILE", help="every round's figures")
+    parser.add_argument("--malloc", choices=MALLOC, default="equal", help="of the clients; README")
     given = parser.parse_args()
+    choose_malloc(given.malloc)
     talk = Console(stderr=True)
     console = report.console()
-    figures: dict[str, Any] = {"machine": report.machine()}
+    figures: dict[str, Any] = {"machine": {**report.machine(), "malloc": given.malloc}}
     console.print(*(f"{key} {value}" for key, value in figures["machine"].items()), sep=", ")
     for name in given.only or PARTS:
         with talk.status(name) as status:

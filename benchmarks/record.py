@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent / "lib"))
 
 from yardstick import punctuality, recorded_samples, report
 from yardstick.fleet import BLOCK
-from yardstick.processes import Peer, run_on_client_core
+from yardstick.processes import MALLOC, Peer, choose_malloc, run_on_client_core
 from yardstick.punctuality import Punctuality
 
 PERIOD = 10**9
@@ -148,10 +148,12 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="one round of ten seconds")
     parser.add_argument("--dir", type=Path, help="a folder on the disk to record to")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--malloc", choices=MALLOC, default="equal", help="of the clients; README")
     given = parser.parse_args()
+    choose_malloc(given.malloc)
     seconds, rounds = (10.0, 1) if given.quick else (given.seconds, given.rounds)
     talk, console = Console(stderr=True), report.console()
-    machine = report.machine()
+    machine = {**report.machine(), "malloc": given.malloc}
     console.print(*(f"{key} {value}" for key, value in machine.items()), sep=", ")
     runs: dict[str, list[Run]] = {"roclog": [], "pymodbus": []}
     for number in range(rounds):

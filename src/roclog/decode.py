@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from roclog.device_time import time_reader
 from roclog.register_map import MAX_RANGED_POINTS, Block, Point, WordOrder, WordType
@@ -21,11 +20,11 @@ if TYPE_CHECKING:
 __all__ = ["Decoded", "TimeFlag", "Value", "decode", "field_names", "named_values", "scaled"]
 
 Value = int | float | bool | str
+_NO_FLAGS: Final = TimeFlag(0)
 _KEPT_DECODERS: Final = 1024
 
 
-@dataclass(frozen=True, slots=True)
-class Decoded:
+class Decoded(NamedTuple):
     """The values of one block.
 
     values: one for each field of the block, in the order of ``block_fields``.
@@ -102,6 +101,11 @@ class _Line:
         self._summand = summand.numerator * (denominator // summand.denominator)
         self._denominator = denominator
 
+    @property
+    def terms(self) -> tuple[int, int, int]:
+        """Factor and summand over one denominator."""
+        return self._factor, self._summand, self._denominator
+
     def value(self, number: float) -> float:
         """NaN and infinities stay what they are."""
         if isinstance(number, int):
@@ -122,6 +126,7 @@ class _Step:
     def __init__(self, point: Point) -> None:
         self._convert = _CONVERSIONS.get(point.type)
         self._is_bcd = point.type.is_bcd
+        self._is_integer = point.type.is_integer
         self._is_float = point.is_scaled or point.type.is_float
         self._line = _Line(point.scale, point.add) if point.is_scaled else None
         self._sentinels = frozenset(_number(value, point.type) for value, _ in point.sentinels)
@@ -133,6 +138,14 @@ class _Step:
             # Integers are compared as integers: 64 bits do not fit a float.
             self._low = float(point.low) if self._is_float else math.ceil(point.low)
             self._high = float(point.high) if self._is_float else math.floor(point.high)
+
+    @property
+    def scaling(self) -> tuple[int, int, int] | None:
+        """(factor, summand, denominator) where an integer is scaled and nothing else."""
+        more = self._convert or self._sentinels or self._bits or self._parts
+        if self._line is None or more or self._low is not None or not self._is_integer:
+            return None
+        return self._line.terms
 
     def read(self, raw: Raw, values: list[Value]) -> tuple[bool, bool]:
         """Append the values of the point's fields; whether it is doubtful, and missing."""
@@ -222,6 +235,7 @@ class _BlockDecoder:
         self._read = word_reader(block.points, block.count, order)
         self._steps = tuple(None if _is_plain(p) else _Step(p) for p in block.points)
         self._is_plain = not any(self._steps)
+        self._terms = self._terms_of_scaling()
         self._floats = tuple(
             index
             for index, point in enumerate(block.points[:MAX_RANGED_POINTS])
@@ -241,21 +255,29 @@ class _BlockDecoder:
         place = names.index(point.name) if is_float else None
         return 1 << index, names.index(condition.point), frozenset(condition.values), place
 
+    def _terms_of_scaling(self) -> tuple[tuple[int, int, int] | None, ...]:
+        """Of every point what scales it, None = nothing; empty where any point needs more.
+
+        Most blocks are like this, and are then decoded in a fifth of the time.
+        """
+        terms = tuple(None if step is None else step.scaling for step in self._steps)
+        more = any(s is not None and t is None for s, t in zip(self._steps, terms, strict=True))
+        return () if more or self._is_plain else terms
+
     def decode(self, words: Sequence[int], read_at: int, changed_after: int | None) -> Decoded:
         raws = self._read(words)
         doubtful = missing = 0
         for index in self._floats:
             if math.isinf(raws[index]):
                 doubtful |= 1 << index
-        values: list[Any] = list(raws) if self._is_plain else []
-        if not self._is_plain:
-            for index, (raw, step) in enumerate(zip(raws, self._steps, strict=True)):
-                if step is None:
-                    values.append(raw)
-                    continue
-                doubt, absent = step.read(raw, values)
-                doubtful |= doubt << index
-                missing |= absent << index
+        values: list[Any] = []
+        if self._is_plain:
+            values += raws
+        elif self._terms:
+            values += _scale_all(raws, self._terms)
+        else:
+            doubts, missing = self._step_by_step(raws, values)
+            doubtful |= doubts
         for bit, status, good, place in self._gates:
             if values[status] not in good:
                 missing |= bit
@@ -263,9 +285,28 @@ class _BlockDecoder:
                 if place is not None:
                     values[place] = math.nan
         if self._time is None:
-            return Decoded(tuple(values), doubtful, 0, TimeFlag(0), missing)
+            return Decoded(tuple(values), doubtful, 0, _NO_FLAGS, missing)
         device_time, flags = self._time(words, read_at, changed_after)
         return Decoded(tuple(values), doubtful, device_time, flags, missing)
+
+    def _step_by_step(self, raws: Sequence[Any], values: list[Any]) -> tuple[int, int]:
+        """Append all values; the masks of the doubtful and of the missing points."""
+        doubtful = missing = 0
+        for index, (raw, step) in enumerate(zip(raws, self._steps, strict=True)):
+            if step is None:
+                values.append(raw)
+                continue
+            doubt, absent = step.read(raw, values)
+            doubtful |= doubt << index
+            missing |= absent << index
+        return doubtful, missing
+
+
+def _scale_all(raws: Sequence[Any], terms: Sequence[tuple[int, int, int] | None]) -> list[Any]:
+    return [
+        raw if term is None else (raw * term[0] + term[1]) / term[2]
+        for raw, term in zip(raws, terms, strict=True)
+    ]
 
 
 _decoders: dict[tuple[int, WordOrder], _BlockDecoder] = {}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 from roclog.decode import Decoded, Value, decode, named_values, word_order_doubts
 from roclog.recording.entries import Entry
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from roclog.register_map import Block, WordOrder
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """One block as it was read.
 
     asked, began, read: first octet of the request, first and last octet of the answer.
@@ -54,7 +53,10 @@ class Reading:
 
 
 class SampleMaker:
-    """Makes the messages of one block; holds only what never changes in a run."""
+    """Makes the messages of one block; holds only what never changes in a run.
+
+    size: octets of the block in an answer.
+    """
 
     def __init__(
         self, device: str, profile: str, block: Block, order: WordOrder, epoch: bytes
@@ -63,6 +65,7 @@ class SampleMaker:
         self.epoch = epoch
         self.topic = f"/{device}/{block.name}"
         self.kind = sample_type(profile, block)
+        self.size = block.octets
         self._can_miss = block.can_miss
         self._device = device
         self.order = order
@@ -83,11 +86,6 @@ class SampleMaker:
     def doubts(self, reading: Reading) -> list[str]:
         """What speaks against the word order."""
         return word_order_doubts(self.block, reading.words, self.order)
-
-    @property
-    def size(self) -> int:
-        """Octets of the block in an answer."""
-        return self.block.octets
 
     def words(self, octets: bytes) -> tuple[int, ...]:
         """The words of the block from its octets as on the wire."""

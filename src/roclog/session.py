@@ -33,7 +33,9 @@ _log = logging.getLogger("roclog")
 _CLOCK_STEP: Final = 500_000_000
 _CLOCK_WATCH_SECONDS: Final = 1.0
 _SPREAD: Final = 10**9
-"""Nanoseconds over which the first polls of the devices are spread."""
+_SLOT: Final = 25_000_000
+"""Nanoseconds over which the first polls of the devices are spread, and between them: devices of
+one slot wake the process once, not one after the other."""
 
 
 def channels(settings: Settings) -> list[ChannelInfo]:
@@ -192,7 +194,7 @@ class Session:
             self._buses[name] = make_bus(connection, users, self._clock)
         assembly = Assembly(self._writer, self._group, self._clock, self._inheritance.carry)
         for index, device in enumerate(devices):
-            phase = min(device.poll, _SPREAD) * index // len(devices)
+            phase = min(device.poll, _SPREAD) * index // len(devices) // _SLOT * _SLOT
             bus = self._buses[device.connection]
             self.devices.append(assembly.device(device, bus, phase))
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import sys
 import time
 from json import loads
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from yardstick.clients import AsyncClient, BlockingClient
 
 NOT_INSTALLED = 3
-_WARM_UP = 3
+WARM_UP = 3
 
 
 def _count(outcome: Outcome, address: int, values: Sequence[int]) -> None:
@@ -38,11 +39,13 @@ class _Watch:
         self._outcome = outcome
 
     def __enter__(self) -> None:
+        self._system = os.times().system
         self._cpu, self._wall = time.process_time(), time.perf_counter()
 
     def __exit__(self, *_: object) -> None:
         self._outcome.wall = time.perf_counter() - self._wall
         self._outcome.cpu = time.process_time() - self._cpu
+        self._outcome.system = os.times().system - self._system
 
 
 def _goes_on(job: Job, poll: int, end: float) -> bool:
@@ -51,7 +54,7 @@ def _goes_on(job: Job, poll: int, end: float) -> bool:
 
 def run_blocking(client: BlockingClient, job: Job) -> Outcome:
     client.open()
-    for _ in range(0 if job.moving else _WARM_UP):
+    for _ in range(0 if job.moving else WARM_UP):
         client.read(job.address(0))
     outcome = Outcome()
     client.late_us.clear()
@@ -76,7 +79,7 @@ async def run_async(clients: list[AsyncClient], job: Job) -> Outcome:
     for client in clients:
         await client.open()
     for client in clients:
-        for _ in range(0 if job.moving else _WARM_UP):
+        for _ in range(0 if job.moving else WARM_UP):
             await client.read(job.address(0))
         client.late_us.clear()
     outcome = Outcome()

@@ -66,7 +66,7 @@ def settings(folder: Path, port: int, count: int, period: int) -> Settings:
         path=folder / "benchmark.toml",
         recording=RecordingSettings(
             directory=folder / "recordings",
-            segment_duration=10 * _SECOND,
+            segment_duration=3600 * _SECOND,
             segment_size=64 << 20,
         ),
         connections={f"c{n}": _connection(f"c{n}", host, port) for n, host in enumerate(hosts)},

@@ -40,6 +40,7 @@ class Outcome:
     """good: right registers. wrong: others, given as an answer. failed: an error was raised.
 
     wall, cpu: seconds from the first measured request to the last answer, of the whole process.
+    system: the part of ``cpu`` in the kernel; sampled by ticks, so only the sum is exact.
     late_us: how long after the silence each request went out, where the client can tell.
     """
 
@@ -48,6 +49,7 @@ class Outcome:
     failed: int = 0
     wall: float = 0.0
     cpu: float = 0.0
+    system: float = 0.0
     late_us: list[float] = field(default_factory=list)
 
     @property
@@ -59,6 +61,10 @@ class Outcome:
     def cpu_us(self) -> float:
         """Microseconds of processor time for a read, whatever came of it."""
         return self.cpu / (self.good + self.wrong + self.failed) * 1e6
+
+    @property
+    def system_us(self) -> float:
+        return self.system / (self.good + self.wrong + self.failed) * 1e6
 
     def to_json(self) -> str:
         return json.dumps(asdict(self))

@@ -21,6 +21,27 @@ _ENVIRONMENT: Final = {
     "PYTHONPATH": os.pathsep.join((str(_LIB), os.environ.get("PYTHONPATH", ""))),
 }
 _LONGEST_S: Final = 300
+_EQUAL_MALLOC: Final = {
+    "MALLOC_MMAP_THRESHOLD_": str(4 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
+}
+"""asyncio receives into 256 KiB at a time. glibc maps and unmaps those pages at every read unless
+the process has happened to free something larger before: some 20 us for each poll that depend on
+what a program has imported, and not on what is measured."""
+MALLOC: Final = {
+    "MALLOC_MMAP_THRESHOLD_": str(4 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
+}
+"""asyncio receives into 256 KiB at a time. glibc maps and unmaps those pages at every read unless the
+process has happened to free something larger before: some 20 us for each poll that depend on what a
+program has imported, and not on what is measured."""
+MALLOC: Final = ("equal", "default")
+
+
+def choose_malloc(kind: str) -> None:
+    """For every client from now on: the same thresholds for all, or what each happens to get."""
+    if kind == "equal":
+        _ENVIRONMENT.update(_EQUAL_MALLOC)
 
 
 def cores() -> tuple[set[int], set[int]]:

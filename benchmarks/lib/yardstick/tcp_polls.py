@@ -6,6 +6,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+from yardstick.client import WARM_UP
 from yardstick.job import Job, Outcome
 from yardstick.processes import Peer, run_client
 from yardstick.report import median, spread, table
@@ -45,6 +46,9 @@ def _once(client: str, _: int, *, connections: int, seconds: float) -> Outcome:
         outcome = run_client(job)
     if devices.seen["unexpected"]:
         raise RuntimeError(f"{client} sent {devices.seen['unexpected']} other requests")
+    counted = outcome.good + outcome.wrong + outcome.failed
+    if devices.seen["answered"] != counted + WARM_UP * connections:
+        raise RuntimeError(f"{client} counts {counted}, the devices {devices.seen['answered']}")
     return outcome
 
 
@@ -56,6 +60,7 @@ def _table(connections: int, rounds: dict[str, list[Outcome]]) -> Table:
         "spread",
         "not good",
         "CPU us/poll",
+        "of it system",
         "spread of CPU",
         "CPU, of pymodbus",
         "CPU, of raw asyncio",
@@ -71,6 +76,7 @@ def _table(connections: int, rounds: dict[str, list[Outcome]]) -> Table:
             f"{spread([o.rate for o in done]):.0%}",
             str(sum(o.wrong + o.failed for o in done)),
             f"{cpu[client]:.1f}",
+            f"{median(o.system_us for o in done):.1f}",
             f"{spread([o.cpu_us for o in done]):.0%}",
             f"{cpu[client] / cpu['pymodbus']:.2f}",
             f"{cpu[client] / cpu['raw asyncio']:.2f}",

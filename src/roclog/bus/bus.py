@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from roclog.bus.link import LineErrors
 from roclog.bus.timing import Framing
@@ -54,8 +53,7 @@ class TooLate(DeviceError):
     """The bus was busy until after ``not_after``; nothing was sent."""
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(NamedTuple):
     """A checked normal answer and the instants of its transaction.
 
     asked: just before the first octet of the request was handed to the line.

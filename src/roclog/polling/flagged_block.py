@@ -145,7 +145,7 @@ class FlaggedBlock:
         seen = self._seen(reading)
         candidate = self._memory.candidate
         if candidate is not None and candidate.payload != seen.payload:
-            reading = replace(reading, previous=self._reading(candidate).read.utc)
+            reading = reading._replace(previous=self._reading(candidate).read.utc)
             seen = replace(seen, reading=reading)
         self._memory, verdict = judge(self._memory, seen)
         if self.cadence.cycle is not None or verdict.news:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from roclog.changes import Change, ChangeKind, ChangeMemory
+from roclog.clock import Instant
 from roclog.errors import ExceptionAnswer
 from roclog.modbus.stamped import Layout, LayoutProbe, parse, plausible_layout, split
 from roclog.schema import Reason
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 
     from roclog.bus.bus import Answer, Bus
     from roclog.bus.tally import Tally
-    from roclog.clock import Instant
     from roclog.modbus.request import ReadStamped
     from roclog.outbox import Outbox
     from roclog.polling.clock_watch import ClockWatch
@@ -27,15 +27,20 @@ if TYPE_CHECKING:
 
 _DAY: Final = 86_400 * 10**9
 _PROBED_PAIRS: Final = 8
+_ENOUGH: Final = 500
+"""Changes that are committed before the next request: an outbox holds 1000 messages, and a long
+list that is read for the first time has more."""
+_RESOLUTION: Final = 10**6
+"""Nanoseconds: a stamp names the millisecond in which the event fell."""
 
 
 class _Piece:
-    """One request of a list, and when its inputs were last read."""
+    """One request of a list, and its last answer in this run."""
 
     def __init__(self, request: ReadStamped, layout: Layout | None) -> None:
         self.request = request
         self.layout = layout
-        self.last: Instant | None = None
+        self.last: Answer | None = None
 
 
 class StampedTable:
@@ -72,6 +77,7 @@ class StampedTable:
         self._last: Instant | None = None
         self._waiting: dict[int, tuple[Entry, Change]] = {}
         self._refused: set[ReadStamped] = set()
+        self._blind: tuple[int, int, Reason] | None = None
         self._unprobed = [inputs for inputs in lists if inputs.layout is None]
         self._pieces = [
             _Piece(request, inputs.layout)
@@ -105,7 +111,10 @@ class StampedTable:
                     continue
                 self._tell_acceptance(piece.request)
                 self._take(piece, answer)
+                if len(self._waiting) >= _ENOUGH:
+                    await self._commit()
         finally:
+            self._tell_blind()
             await self._commit()
 
     def close(self) -> None:
@@ -114,12 +123,12 @@ class StampedTable:
             self.outbox.checkpoint(self._maker.topic, carry)
 
     def _take(self, piece: _Piece, answer: Answer) -> None:
-        last, piece.last = piece.last, answer.read
-        self._tell_blind(last, answer.read)
+        last, piece.last = piece.last, answer
         self._last = answer.read
+        self._find_blind(last, answer.read)
         layout, ambiguous = self._layout(piece, answer)
         seen = parse(piece.request, answer.pdu, layout)
-        since = None if last is None else answer.read.utc - (answer.read.monotonic - last.monotonic)
+        since = None if last is None else _utc(last.asked, answer.read)
 
         def resolve(octets: bytes, kind: ChangeKind) -> tuple[int, int]:
             stamp = self._resolve(octets, kind, since, answer.read.utc)
@@ -145,11 +154,13 @@ class StampedTable:
         self._waiting[id(entry)] = entry, change
         self.outbox.add(entry)
 
-    def _follow_clock(self, change: Change, last: Instant | None, read: Instant) -> None:
-        """What changed since the last read was stamped since then."""
+    def _follow_clock(self, change: Change, last: Answer | None, read: Instant) -> None:
+        """What changed since the last read was stamped since that was asked for."""
         fresh = change.kind in (ChangeKind.CHANGED, ChangeKind.RESTAMPED)
         if last is not None and fresh and change.state.device_time:
-            self._clock.note(change.state.device_time, last, read)
+            asked = last.asked
+            earliest = Instant(asked.utc - _RESOLUTION, asked.monotonic - _RESOLUTION)
+            self._clock.note(change.state.device_time, earliest, read)
 
     async def _commit(self) -> None:
         self._maker.update(self._memory, self._last.utc if self._last is not None else 0)
@@ -170,16 +181,27 @@ class StampedTable:
             first, last, count = lost
             self.outbox.add(self._maker.gap(first, last, count, Reason.STORAGE, possible=False))
 
-    def _tell_blind(self, last: Instant | None, read: Instant) -> None:
+    def _find_blind(self, last: Answer | None, read: Instant) -> None:
         """Of what changed more than once while nobody read, only the last state is known."""
-        if self._last is None and self._read_until:
-            since = min(self._read_until, read.utc)
-            self.outbox.add(self._maker.gap(since, read.utc, 0, Reason.DOWNTIME, possible=True))
-        elif last is not None and self._last is not None:
-            blind = read.monotonic - self._last.monotonic
-            if blind > 1.5 * self.period and last.monotonic == self._last.monotonic:
-                since = read.utc - blind
-                self.outbox.add(self._maker.gap(since, read.utc, 0, Reason.UNREAD, possible=True))
+        if last is not None:
+            if read.monotonic - last.read.monotonic <= 1.5 * self.period:
+                return
+            since, reason = _utc(last.asked, read), Reason.UNREAD
+        elif self._read_until:
+            since, reason = min(self._read_until, read.utc), Reason.DOWNTIME
+        else:
+            return
+        if self._blind is not None:
+            since = min(since, self._blind[0])
+            reason = self._blind[2]
+        self._blind = since, read.utc, reason
+
+    def _tell_blind(self) -> None:
+        """One gap for all lists of a turn."""
+        if self._blind is not None:
+            since, until, reason = self._blind
+            self.outbox.add(self._maker.gap(since, until, 0, reason, possible=True))
+            self._blind = None
 
     def _layout(self, piece: _Piece, answer: Answer) -> tuple[Layout, bool]:
         """How to read an answer, and whether that is a guess."""
@@ -188,7 +210,7 @@ class StampedTable:
         read_at = answer.read.utc
 
         def is_plausible(octets: bytes) -> bool:
-            stamp = self._decoder.decode(octets, read_at=read_at, changed_after=read_at)
+            stamp = self._resolve(octets, ChangeKind.BASELINE, None, read_at)
             return is_trusted(int(stamp.flags)) and not stamp.flags & TimeFlag.FUTURE
 
         found = plausible_layout(piece.request, answer.pdu, is_plausible)
@@ -228,6 +250,11 @@ class StampedTable:
         if request in self._refused:
             self._refused.discard(request)
             self.outbox.event("info", "refused", f"{_named(request)} answered again")
+
+
+def _utc(past: Instant, now: Instant) -> int:
+    """UTC ns of an earlier instant by the wall clock of now, whatever was set in between."""
+    return now.utc - (now.monotonic - past.monotonic)
 
 
 def _named(request: ReadStamped) -> str:

@@ -16,12 +16,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mcap.records import Channel, Message, Metadata
 
+from roclog.changes import ChangeMemory, State
 from roclog.errors import DamagedFile, StorageError
 from roclog.recording.entries import intact, protected
 from roclog.recording.scan import Scan
 from roclog.recording.seal import SEGMENT_METADATA
 from roclog.recording.segment import sync_directory
-from roclog.schema import CLEAR, ClearResult, Origin, read_signature
+from roclog.register_map import Table
+from roclog.schema import CLEAR, ClearResult, Origin, read_signature, stamped_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -29,6 +31,12 @@ if TYPE_CHECKING:
 
 Carry = dict[str, dict[str, Any]]
 """Topic to what the next run must know: epoch, seq, payload (hex or null), cleared, read_at."""
+_STAMPED: Final = {
+    (2 - table.has_bits) + stamp: stamped_type("", table, stamp)
+    for table in (Table.DISCRETE_INPUTS, Table.INPUT_REGISTERS)
+    for stamp in (7, 4)
+}
+"""Message types of the states of inputs, by the octets of ``raw``; the profile is only a name."""
 
 
 @dataclass
@@ -162,17 +170,73 @@ def _head(path: Path) -> Mapping[str, str] | None:
 
 
 def _apply(path: Path, state: Inheritance) -> None:
-    """Opening state of a segment, then its messages on top."""
+    """Opening state of a segment, then its messages on top, as far as it can be read."""
     channels: dict[int, Channel] = {}
-    for found in Scan(path):
-        match found.record:
-            case Metadata(name="roclog.state", metadata=values) if intact(values):
-                state.carry = json.loads(values["state"])
-            case Channel() as channel:
-                channels[channel.id] = channel
-            case Message() as message:
-                if message.channel_id in channels:
-                    _apply_message(channels[message.channel_id], message.data, state.carry)
+    inputs: dict[str, _Inputs] = {}
+    try:
+        for found in Scan(path):
+            match found.record:
+                case Metadata(name="roclog.state", metadata=values) if intact(values):
+                    state.carry = json.loads(values["state"])
+                case Channel() as channel:
+                    channels[channel.id] = channel
+                case Message() as message:
+                    channel_of = channels.get(message.channel_id)
+                    if channel_of is None:
+                        continue
+                    if "states" in channel_of.metadata:
+                        topic = channel_of.topic
+                        if topic not in inputs:
+                            inputs[topic] = _Inputs(state.carry.get(topic))
+                        inputs[topic].take(message.data)
+                    else:
+                        _apply_message(channel_of, message.data, state.carry)
+    finally:
+        for topic, restored in inputs.items():
+            if restored.carry is not None:
+                state.carry[topic] = restored.carry
+
+
+class _Inputs:
+    """The states of a channel's inputs: what a segment begins with, then its messages."""
+
+    def __init__(self, carry: Mapping[str, Any] | None) -> None:
+        self._carry = carry
+        self._last: dict[str, Any] = {}
+        self._memory: ChangeMemory | None = None
+
+    def take(self, data: bytes) -> None:
+        sample = read_signature(data)
+        kind = None if sample is None else _STAMPED.get(len(sample["raw"]))
+        values = None if kind is None else kind.unpack(data)
+        if values is None:
+            return
+        epoch = values["epoch"].hex()
+        if self._memory is None or epoch != self._last["epoch"]:
+            self._memory = self._carried(epoch)
+        if self._memory is None:
+            return
+        stamp, time = values["time_octets"], values["device_time"]
+        state = State(values["value"], stamp, time, values["time_flags"])
+        self._memory.restore(values["address"], state)
+        self._last = {"epoch": epoch, "seq": values["seq"], "read_at": values["read_at"]}
+
+    @property
+    def carry(self) -> dict[str, Any] | None:
+        """None where no message was of use."""
+        return {**self._last, "states": self._memory.text()} if self._memory is not None else None
+
+    def _carried(self, epoch: str) -> ChangeMemory | None:
+        """An epoch begins with no input known; nothing of another one is of use to it.
+
+        None where the carried text is damaged: the run that takes it up says so, and begins anew.
+        """
+        if self._last or self._carry is None or self._carry.get("epoch") != epoch:
+            return ChangeMemory()
+        try:
+            return ChangeMemory(self._carry["states"])
+        except (KeyError, ValueError):
+            return None
 
 
 def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:

@@ -9,20 +9,19 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Final
 
 from mcap.records import Channel, Header, Message, Metadata, Schema
-from mcap.writer import CompressionType, Writer
 
 from roclog.errors import DamagedFile
 from roclog.recording.entries import intact, protected
 from roclog.recording.scan import MAGIC, Scan
+from roclog.recording.sealed_file import SealedFile
 from roclog.recording.segment import sync_directory
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-_CHUNK: Final = 512 * 1024
 SEGMENT_METADATA: Final = "roclog.segment"
 SEALED_METADATA: Final = "roclog.sealed"
 
@@ -99,42 +98,29 @@ def _survey(hot: Path) -> _Survey:
     return _Survey(metadata, dropped, str(scan.damage[0].reason), inside)
 
 
-def _copy(hot: Path, file: Any, metadata: dict[str, dict[str, str]]) -> None:
-    writer = Writer(
-        file,
-        chunk_size=_CHUNK,
-        compression=CompressionType.ZSTD,
-        enable_crcs=True,
-        enable_data_crcs=True,
-    )
-    schemas: dict[int, int] = {}
-    channels: dict[int, int] = {}
+def _copy(hot: Path, file: IO[bytes], metadata: dict[str, dict[str, str]]) -> None:
+    """Schemas and channels keep their numbers; whatever a crash repeated is taken once."""
+    sealed: SealedFile | None = None
+    known: set[tuple[type, int]] = set()
     for found in Scan(hot):
-        match found.record:
-            case Header(library=library):
-                writer.start(library=library)
-                for name, values in metadata.items():
-                    writer.add_metadata(name, values)
-            case Schema() as schema:
-                schemas[schema.id] = writer.register_schema(
-                    schema.name, schema.encoding, schema.data
-                )
-            case Channel() as channel:
-                channels[channel.id] = writer.register_channel(
-                    channel.topic,
-                    channel.message_encoding,
-                    schemas[channel.schema_id],
-                    channel.metadata,
-                )
-            case Message() as message:
-                writer.add_message(
-                    channels[message.channel_id],
-                    message.log_time,
-                    message.data,
-                    message.publish_time,
-                    message.sequence,
-                )
-    writer.finish()
+        record = found.record
+        if isinstance(record, Header):
+            sealed = SealedFile(file, record.library)
+            for name, values in metadata.items():
+                sealed.add_metadata(name, values)
+        elif sealed is None:
+            raise DamagedFile(hot, found.offset, "records before the header")
+        elif isinstance(record, Message):
+            sealed.add_message(record)
+        elif isinstance(record, Schema | Channel) and (type(record), record.id) not in known:
+            known.add((type(record), record.id))
+            if isinstance(record, Schema):
+                sealed.add_schema(record)
+            else:
+                sealed.add_channel(record)
+    if sealed is None:
+        raise DamagedFile(hot, len(MAGIC), "no header")
+    sealed.finish()
 
 
 def _sealed_name(opened_at: int, number: int) -> str:

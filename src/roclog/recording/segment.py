@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import errno
 import os
+import struct
 import zlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, Chunk, Header, Message, Metadata, Schema
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Header, Metadata, Schema
 
 from roclog.recording.entries import protected
 from roclog.recording.scan import MAGIC
@@ -22,6 +24,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from roclog.recording.entries import ChannelInfo, Entry
+
+
+_MESSAGE: Final = struct.Struct("<BQHIQQ")
+"""Head of a message record: opcode and length, then channel, sequence, log and publish time. The
+library's builder takes ten times as long, which counts at a thousand samples a second."""
+_MESSAGE_HEAD: Final = _MESSAGE.size - 9
 
 
 class HotSegment:
@@ -61,18 +69,20 @@ class HotSegment:
         ``log_time`` never decreases inside a file. The few milliseconds by which one task may
         overtake another between answer and commit are levelled here; read_at stays exact.
         """
-        builder = RecordBuilder()
         first = max(entries[0].log_time, self.last_log_time)
+        parts: list[bytes] = []
         for entry in entries:
             self.last_log_time = max(entry.log_time, self.last_log_time)
-            Message(
-                channel_id=self._ids[entry.topic],
-                sequence=entry.sequence & 0xFFFFFFFF,
-                log_time=self.last_log_time,
-                publish_time=entry.publish_time,
-                data=entry.data,
-            ).write(builder)
-        self._write(_chunk(builder.end(), first, self.last_log_time))
+            head = _MESSAGE.pack(
+                Opcode.MESSAGE,
+                _MESSAGE_HEAD + len(entry.data),
+                self._ids[entry.topic],
+                entry.sequence & 0xFFFFFFFF,
+                self.last_log_time,
+                entry.publish_time,
+            )
+            parts += (head, entry.data)
+        self._write(_chunk(b"".join(parts), first, self.last_log_time))
         if sync:
             os.fsync(self._fd)
             if os.fstat(self._fd).st_nlink == 0:
