@@ -33,6 +33,7 @@ def make_bus(connection: Connection, devices: list[Device], clock: Clock) -> Bus
         late_answer=connection.late_answer or 0,
         silence=connection.silence,
         character=connection.character,
+        dialect=connection.dialect,
     )
     permitted = frozenset(
         (device.unit, block.address + block.trigger.flag, block.trigger.clear)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from roclog.bus.tally import Tally
 from roclog.connect import make_bus
 from roclog.decode import Decoded, decode
-from roclog.errors import DeviceError
+from roclog.errors import DeviceError, ExceptionAnswer
+from roclog.polling.refusal import described
 from roclog.polling.request_plan import read_request
 from roclog.word_types import block_words
 
@@ -79,9 +80,13 @@ async def _probe_connection(
 
 
 async def _read(bus: Bus, device: Device, block: Block) -> BlockRead:
+    request, dialect = read_request(block, device.profile.dialect), device.profile.dialect
     try:
-        answer = await bus.transact(device.unit, read_request(block), Tally())
+        answer = await bus.transact(device.unit, request, Tally())
+    except ExceptionAnswer as refusal:
+        text = await described(refusal, device.unit, bus, Tally(), dialect)
+        return BlockRead(block, (), None, text)
     except DeviceError as error:
         return BlockRead(block, (), None, str(error))
-    registers = block_words(block, answer.pdu[2:])
+    registers = block_words(block, answer.pdu[len(request.head) :])
     return BlockRead(block, registers, decode(block, registers, device.word_order))

@@ -143,10 +143,23 @@ class MessageType:
             json_name=field.name,
         )
         if field.enum is not None:
-            proto.type_name = f".{self.name}.{field.enum.__name__}"
-            values = message.enum_type.add(name=field.enum.__name__).value
-            for member in field.enum:
-                values.add(name=member.name, number=member.value)
+            proto.type_name = f".{self.name}.{self._scope(message, field.enum)}"
+
+    def _scope(self, message: descriptor_pb2.DescriptorProto, enum: type[IntEnum]) -> str:
+        """Define the enum and give its name within the message.
+
+        The names of its values belong to the message that it stands in, so that one which shares
+        some with an earlier enum gets a message of its own around it.
+        """
+        taken = {value.name for other in message.enum_type for value in other.value}
+        name = enum.__name__
+        if taken & set(enum.__members__):
+            message = message.nested_type.add(name=f"{name}Scope")
+            name = f"{name}Scope.{name}"
+        values = message.enum_type.add(name=enum.__name__).value
+        for member in enum:
+            values.add(name=member.name, number=member.value)
+        return name
 
     @cached_property
     def _octets(self) -> list[tuple[int, int]]:

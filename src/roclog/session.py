@@ -6,6 +6,7 @@ import asyncio
 import logging
 import uuid
 from contextlib import AsyncExitStack
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
@@ -24,6 +25,7 @@ from roclog.schema import CLEAR, CLOCK_OFFSET, GAP, LINK, stamped_type
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
+    from roclog.bus.link import Link
     from roclog.clock import Clock
     from roclog.config.settings import Settings
     from roclog.polling.device import PolledDevice
@@ -72,6 +74,7 @@ class Session:
         self._clock = clock
         self._run = uuid.uuid4().hex
         self._buses: dict[str, Bus] = {}
+        self._links: dict[str, dict[str, str]] = {}
         self._stop = asyncio.Event()
 
     async def __aenter__(self) -> Self:
@@ -162,6 +165,19 @@ class Session:
         if hasattr(self, "_writer"):
             self._writer.note([log_entry(self._clock.now().utc, level, kind, text)])
 
+    def _describe_link(self, name: str, link: Link) -> None:
+        """What is known of an adapter, each time that another one was opened."""
+        facts = dict(link.describe())
+        if not facts or facts == self._links.get(name):
+            return
+        self._links[name] = facts
+        self._writer.describe(f"roclog.connection.{name}", facts)
+        warning = facts.pop("warning", "")
+        text = ", ".join(f"{key} {value}" for key, value in facts.items())
+        self._tell("info", f"{link.name}: {text}", f"{name}.port")
+        if warning:
+            self._tell("warning", f"{link.name}: {warning}", f"{name}.port")
+
     def _open_writer(self, inheritance: Inheritance) -> Writer:
         recording = self.settings.recording
         limits = Limits(recording.segment_duration, recording.segment_size)
@@ -191,7 +207,8 @@ class Session:
         devices = list(self.settings.devices.values())
         for name, connection in self.settings.connections.items():
             users = [device for device in devices if device.connection == name]
-            self._buses[name] = make_bus(connection, users, self._clock)
+            bus = self._buses[name] = make_bus(connection, users, self._clock)
+            bus.on_open = partial(self._describe_link, name, bus.link)
         assembly = Assembly(self._writer, self._group, self._clock, self._inheritance.carry)
         for index, device in enumerate(devices):
             phase = min(device.poll, _SPREAD) * index // len(devices) // _SLOT * _SLOT

@@ -31,7 +31,7 @@ class StampedMaker:
         self._carry: dict[str, Any] = {"epoch": epoch.hex()}
 
     def message(self, change: Change, answer: Answer, previous: int) -> Entry:
-        """previous: UTC ns of the last read that showed the state before, 0 = none."""
+        """previous: UTC ns, when the last answer with the state before was asked for, 0 = none."""
         self.seq += 1
         state, read = change.state, answer.read
         value = bytes([state.value]) if self._is_discrete else state.value.to_bytes(2)
@@ -65,11 +65,11 @@ class StampedMaker:
         )
 
     def update(self, memory: ChangeMemory, read_at: int) -> None:
-        """What the messages that are committed next leave to a later run."""
+        """What the messages that are committed next leave to a later run; read_at as of carry."""
         self._carry.update(self.carry(memory, read_at))
 
     def carry(self, memory: ChangeMemory, read_at: int) -> Mapping[str, object]:
-        """What a later run must know. read_at: UTC ns."""
+        """What a later run must know. read_at: UTC ns up to which every input was seen."""
         return {
             "epoch": self.epoch.hex(),
             "seq": self.seq,

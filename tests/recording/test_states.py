@@ -46,10 +46,12 @@ def maker(table: Table, seq: int = 0, epoch: bytes = EPOCH) -> StampedMaker:
     return StampedMaker("rtu7", PROFILE, table, epoch, seq)
 
 
-def entry(source: StampedMaker, address: int, state: State, at: int = START) -> Entry:
+def entry(
+    source: StampedMaker, address: int, state: State, at: int = START, previous: int = 0
+) -> Entry:
     instant = Instant(at, 10**9)
     answer = Answer(b"", instant, instant, instant)
-    return source.message(Change(address, ChangeKind.CHANGED, state), answer, 0)
+    return source.message(Change(address, ChangeKind.CHANGED, state), answer, previous)
 
 
 def killed(root: Path, copy: Path) -> dict[str, dict[str, Any]]:
@@ -89,9 +91,9 @@ def test_every_state_that_is_in_the_file_is_known_after_a_crash(
         for table in TABLES:
             address = rng.randrange(40)
             state = drawn(rng, bits=table.has_bits)
-            message = entry(makers[table], address, state, clock.utc)
+            message = entry(makers[table], address, state, clock.utc, clock.utc - 5)
             memories[table].keep(Change(address, ChangeKind.CHANGED, state))
-            makers[table].update(memories[table], clock.utc)
+            makers[table].update(memories[table], clock.utc - 5)
             bench.writer.commit([message]).result(10)
             memories[table].committed(Change(address, ChangeKind.CHANGED, state))
             memories[table].give_up(Change(address, ChangeKind.CHANGED, state))
@@ -102,7 +104,7 @@ def test_every_state_that_is_in_the_file_is_known_after_a_crash(
                 found = carry[f"/rtu7/{table}"]
                 assert found["states"] == text(known[table])
                 assert found["seq"] == step + 1
-                assert found["read_at"] == clock.utc
+                assert found["read_at"] == clock.utc - 5
                 assert found["epoch"] == EPOCH.hex()
     bench.close()
 
@@ -171,4 +173,23 @@ def test_a_carried_text_that_is_no_use_is_left_to_the_next_run(
     message = entry(maker(TABLES[1], 3), 1, State(7, bytes(4)))
     again.writer.commit([message]).result(10)
     assert killed(again.root, tmp_path / "copy")[REGISTERS]["states"] == "00"
+    again.close()
+
+
+def test_inputs_that_a_new_run_has_not_read_yet_were_seen_by_the_last_one_only(
+    tmp_path: Path, clock: ManualClock
+) -> None:
+    """A gap that begins at the first message of the new run would be too short for them."""
+    bench = open_bench(tmp_path / "r", clock)
+    source, memory = maker(TABLES[1]), ChangeMemory()
+    message = entry(source, 1, State(7, bytes(4)), START, START - 5)
+    source.update(memory, START - 5)
+    bench.writer.commit([message]).result(10)
+    bench.close()
+    again = open_bench(tmp_path / "r", clock)
+    source = maker(TABLES[1], 1)
+    again.writer.commit([entry(source, 1, State(8, b"\1" * 4), START + 90)]).result(10)
+    assert killed(again.root, tmp_path / "one")[REGISTERS]["read_at"] == START - 5
+    again.writer.commit([entry(source, 1, State(9, bytes(4)), START + 99, START + 80)]).result(10)
+    assert killed(again.root, tmp_path / "two")[REGISTERS]["read_at"] == START + 80
     again.close()

@@ -65,7 +65,8 @@ def _facts(profile: RegisterMap) -> Iterator[tuple[str, str]]:
     yield "profile", f"{profile.name}: {profile.title}"
     yield "source", profile.source
     yield "delivered", f"unit {profile.unit}, {_serial(profile)}"
-    yield "silence", f"{profile.serial.silence_characters:g} characters before a request"
+    if profile.has_serial_port:
+        yield "silence", f"{profile.serial.silence_characters:g} characters before a request"
     yield "answers", f"within {format_duration(profile.answer_limit)}"
     if profile.cycle is not None:
         yield "cycle", f"{' + '.join(profile.cycle[1])} of block {profile.cycle[0]}"
@@ -75,9 +76,14 @@ def _facts(profile: RegisterMap) -> Iterator[tuple[str, str]]:
 
 def _block_facts(profile: RegisterMap, block: Block) -> Iterator[tuple[str, str]]:
     when = "at every poll" if block in profile.samples else "when recording starts"
-    last = block.address + block.count - 1
-    words = f"{block.count} {block.table.replace('_', ' ')}"
-    yield "block", f"{block.name}: {words} {block.address}-{last}, read {when}"
+    if block.period is not None:
+        when = f"every {format_duration(block.period)}"
+    if profile.dialect.has_functions:
+        yield "block", f"{block.name}: function {block.address}, {block.count} words, called {when}"
+    else:
+        last = block.address + block.count - 1
+        words = f"{block.count} {block.table.replace('_', ' ')}"
+        yield "block", f"{block.name}: {words} {block.address}-{last}, read {when}"
     yield from _trigger_facts(block)
     if block.time is not None:
         yield "time", _time_text(block, block.time)
@@ -136,6 +142,8 @@ def _rows(block: Block, point: Point) -> Iterator[tuple[str, ...]]:
 
 
 def _serial(profile: RegisterMap) -> str:
+    if not profile.has_serial_port:
+        return f"TCP and UDP only, port {profile.port}"
     serial = profile.serial
     return f"{serial.baudrate} Bd {serial.bytesize}{serial.parity}{serial.stopbits}"
 
@@ -175,7 +183,10 @@ def _profile_object(profile: RegisterMap, *, blocks: bool) -> dict[str, object]:
         "title": profile.title,
         "source": profile.source,
         "unit_id": profile.unit,
-        "serial": {
+        "port": profile.port,
+        "serial": None
+        if not profile.has_serial_port
+        else {
             "baudrate": serial.baudrate,
             "bytesize": serial.bytesize,
             "parity": serial.parity,

@@ -8,23 +8,41 @@ import re
 import signal
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
-from roclog.devices import PROFILES
+from roclog.devices import PROFILES, mei_timestamped
 from roclog.quantities import format_duration, parse_duration
+from roclog.register_map import StampRules
 from roclog.simulators import (
     LineSettings,
     PtyEndpoint,
+    Quirk,
     RtuOverTcpEndpoint,
     SimulatedRoc,
+    SimulatedStampedInputs,
     SimulatorServer,
     TcpEndpoint,
     UdpEndpoint,
 )
 
-_SIMULATED: Final = {"hiac-roc": SimulatedRoc}
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from roclog.register_map import RegisterMap
+    from roclog.simulators import SimulatedDevice
+
+_STAMPED: Final = "mei-timestamped"
+_SIMULATED: Final[dict[str, Callable[..., SimulatedDevice]]] = {
+    "hiac-roc": SimulatedRoc,
+    _STAMPED: SimulatedStampedInputs,
+}
+_MAPS: Final[Mapping[str, RegisterMap]] = {
+    **PROFILES,
+    _STAMPED: mei_timestamped.register_map((), StampRules()),
+}
+"""For the unit and the line settings that devices are delivered with."""
 _NETWORK: Final[dict[str, type[TcpEndpoint | UdpEndpoint | RtuOverTcpEndpoint]]] = {
     "--tcp": TcpEndpoint,
     "--udp": UdpEndpoint,
@@ -52,13 +70,13 @@ def _devices(
             raise click.BadParameter(f"{profile!r} is not one of {known}", param=parameter)
         if colon and not re.fullmatch("[0-9]{1,3}", unit):
             raise click.BadParameter(f"{unit!r} is not a unit from 1 to 247", param=parameter)
-        wanted.append(Wanted(profile, int(unit) if colon else PROFILES[profile].unit))
+        wanted.append(Wanted(profile, int(unit) if colon else _MAPS[profile].unit))
     units = [each.unit for each in wanted]
     for each in wanted:
         if not 1 <= each.unit <= 247:
             raise click.BadParameter(f"{each.unit} is not a unit from 1 to 247", param=parameter)
         if units.count(each.unit) > 1:
-            text = f"unit {each.unit} twice; write {each.profile}:139 for another one"
+            text = f"unit {each.unit} twice; write {each.profile}:{each.unit + 1} for another one"
             raise click.BadParameter(text, param=parameter)
     return tuple(wanted)
 
@@ -81,6 +99,20 @@ def _duration(_: click.Context, parameter: click.Parameter, text: str | None) ->
         return parse_duration(text)
     except ValueError as error:
         raise click.BadParameter(str(error), param=parameter) from error
+
+
+def _offset(_: click.Context, parameter: click.Parameter, text: str | None) -> float | None:
+    """Seconds, which may be negative."""
+    if text is None:
+        return None
+    seconds = (_duration(_, parameter, text.removeprefix("-")) or 0) / 1e9
+    return -seconds if text.startswith("-") else seconds
+
+
+def _quirks(
+    _: click.Context, __: click.Parameter, words: tuple[str, ...]
+) -> tuple[Quirk, ...] | None:
+    return tuple(map(Quirk, words)) or None
 
 
 def _positive(_: click.Context, parameter: click.Parameter, value: float) -> float:
@@ -150,8 +182,37 @@ def _positive(_: click.Context, parameter: click.Parameter, value: float) -> flo
     "--truth",
     metavar="FILE",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write every completed sample to this CSV file; with several devices, "
-    "to one file each with the unit in its name.",
+    help="Write every completed sample, or change of an input, to this CSV file; with several "
+    "devices, to one file each with the unit in its name.",
+)
+@click.option(
+    "--rate",
+    metavar="N",
+    type=click.FloatRange(0, 1000),
+    help=f"{_STAMPED}: changes per second of the device.  [default: 1]",
+)
+@click.option(
+    "--clock-offset",
+    "clock_offset_s",
+    metavar="DURATION",
+    callback=_offset,
+    help=f"{_STAMPED}: what its clock is ahead, like 90s; -90s is behind.",
+)
+@click.option(
+    "--clock-drift",
+    "clock_drift_ppm",
+    metavar="PPM",
+    type=click.FloatRange(-100_000, 100_000),
+    help=f"{_STAMPED}: what its clock gains, in millionths.",
+)
+@click.option(
+    "--quirk",
+    "quirks",
+    multiple=True,
+    type=click.Choice([quirk.value for quirk in Quirk]),
+    callback=_quirks,
+    help=f"{_STAMPED}: answer as some devices do, or (misprinted) as the paper's wrong example; "
+    "may be repeated.",
 )
 def simulate(
     devices: tuple[Wanted, ...],
@@ -166,22 +227,29 @@ def simulate(
     speed: float,
     seed: int,
     truth: Path | None,
+    **stamped: Any,
 ) -> None:
-    """Serve simulated devices.
+    """Serve simulated devices: hiac-roc, mei-timestamped.
 
     Ends with SIGINT (Ctrl-C) or SIGTERM, exit code 0. UNIT is the one that the device is delivered
     with where it is not given. With --baud, --turnaround or --usb-latency, what the line has seen
     is told at the end; a short gap is a request that began before the silence that the devices ask
-    for.
+    for. A mei-timestamped device has 22 discrete inputs from 196 on with stamps of 7 octets, and 2
+    input registers from 8 on with stamps of 4.
 
     \b
     Example:
       roclog simulate hiac-roc hiac-roc:139 --tcp 127.0.0.1:5020 --speed 10
       roclog simulate hiac-roc hiac-roc:139 --pty line --baud 9600 --turnaround 10ms
+      roclog simulate mei-timestamped --udp 127.0.0.1:5020 --rate 5 --clock-offset 2s
     """
     is_timed = any(option is not None for option in (baud, turnaround, usb_latency))
     if is_timed and pty is None:
         raise click.UsageError("--baud, --turnaround and --usb-latency are for --pty only")
+    given = {name: value for name, value in stamped.items() if value is not None}
+    if given and all(wanted.profile != _STAMPED for wanted in devices):
+        text = f"--rate, --clock-offset, --clock-drift and --quirk are for {_STAMPED} only"
+        raise click.UsageError(text)
     endpoints: list[Endpoint] = [
         kind(*address)
         for kind, address in zip(_NETWORK.values(), (tcp, udp, rtu_over_tcp), strict=True)
@@ -200,7 +268,8 @@ def simulate(
             if truth is not None:
                 name = truth if len(devices) == 1 else _with_unit(truth, wanted.unit)
                 file = files.enter_context(name.open("w", encoding="utf-8"))
-            served.append(_SIMULATED[wanted.profile](wanted.unit, seed=seed, truth=file))
+            more = given if wanted.profile == _STAMPED else {}
+            served.append(_made(wanted, seed=seed, truth=file, **more))
         asyncio.run(
             _serve(SimulatorServer(served, endpoint, speed=speed), endpoint, devices, speed)
         )
@@ -208,11 +277,18 @@ def simulate(
         click.echo(f"line: {endpoint.statistics}", err=True)
 
 
+def _made(wanted: Wanted, **arguments: Any) -> SimulatedDevice:
+    try:
+        return _SIMULATED[wanted.profile](wanted.unit, **arguments)
+    except (ValueError, OverflowError) as error:
+        raise click.UsageError(f"{wanted.profile}: {error}") from error
+
+
 def _line(
     devices: tuple[Wanted, ...], baud: int | None, turnaround: int, usb_latency: int
 ) -> LineSettings:
     """Octets have the format of the first device; the longest silence that one asks for counts."""
-    asked = [PROFILES[wanted.profile].serial for wanted in devices]
+    asked = [_MAPS[wanted.profile].serial for wanted in devices]
     first = asked[0]
     return LineSettings(
         baud=baud,

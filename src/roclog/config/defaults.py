@@ -21,6 +21,7 @@ from roclog.config.tables import (
     Tcp,
     Udp,
 )
+from roclog.modbus.dialect import STANDARD
 from roclog.register_map import MODBUS_PORT, RegisterMap, SerialDefaults, WordOrder
 
 if TYPE_CHECKING:
@@ -155,6 +156,7 @@ def server(name: str, table: Tcp | Udp, profiles: Sequence[RegisterMap]) -> Conn
         return None
     limits = [profile.answer_limit for profile in profiles]
     ports = {profile.port for profile in profiles}
+    dialects = [profile.dialect for profile in profiles]
     return Connection(
         name=name,
         transport="tcp" if isinstance(table, Tcp) else "udp",
@@ -168,6 +170,7 @@ def server(name: str, table: Tcp | Udp, profiles: Sequence[RegisterMap]) -> Conn
         late_answer=None,
         silence=0,
         character=0,
+        dialect=dialects[0] if dialects else STANDARD,
     )
 
 
@@ -181,7 +184,12 @@ def device(name: str, table: DeviceTable, profile: RegisterMap) -> Device | None
         connection=table.connection,
         unit=_given(table.unit, profile.unit),
         poll=_given(table.poll, _SECOND),
-        word_order=_given(getattr(table, "word_order", UNSET), WordOrder.ABCD),
+        word_order=_given(getattr(table, "word_order", UNSET), _word_order(profile)),
         acknowledge=_given(getattr(table, "acknowledge", UNSET), default=True),
         cycle=_optional(getattr(table, "cycle", UNSET)),
     )
+
+
+def _word_order(profile: RegisterMap) -> WordOrder:
+    """Numbers that come least significant octet first are found with octets and words reversed."""
+    return WordOrder.ABCD if profile.dialect.order == "big" else WordOrder.DCBA

@@ -30,6 +30,7 @@ def read_devices(
     _check_references(tables, file.get("connections"), problems)
     devices = _devices(tables, lines, problems)
     _check_acknowledging(devices.values(), problems)
+    _check_dialects(devices.values(), problems)
     return devices
 
 
@@ -86,7 +87,11 @@ def _devices(
             continue
         devices[name] = device
         line = lines.get(device.connection)
-        if isinstance(line, Rtu | RtuOverTcp) and device.unit not in _SERIAL_UNITS:
+        if isinstance(line, Rtu | RtuOverTcp) and not device.profile.has_serial_port:
+            who = device.profile.name
+            text = f"{shown(device.connection)} carries RTU, {who} has TCP and UDP only"
+            problems.add(f"{joined('devices', name)}.connection", text)
+        elif isinstance(line, Rtu | RtuOverTcp) and device.unit not in _SERIAL_UNITS:
             key = joined("devices", name)
             text = f"{device.unit} is not a unit on a serial line, 1 to 247"
             problems.add(f"{key}.unit", text)
@@ -104,3 +109,21 @@ def _check_acknowledging(devices: Iterable[Device], problems: Problems) -> None:
                 "both would clear its flag; acknowledge = false on one of them, or another unit"
             )
             problems.add(keys[1], text)
+
+
+def _check_dialects(devices: Iterable[Device], problems: Problems) -> None:
+    """A connection has one way of framing, and so one dialect."""
+    first: dict[str, Device] = {}
+    for device in devices:
+        other = first.setdefault(device.connection, device)
+        key = f"{joined('devices', device.name)}.connection"
+        if device.profile.dialect != other.profile.dialect and not problems.at(key):
+            text = (
+                f"{shown(device.connection)} has device {shown(other.name)} ({_frames(other)}); "
+                f"frames of this one ({_frames(device)}) differ, it needs its own connection"
+            )
+            problems.add(key, text)
+
+
+def _frames(device: Device) -> str:
+    return f"{device.profile.name}, {device.profile.dialect.order} endian"

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from roclog.modbus.dialect import STANDARD, Dialect
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
@@ -56,6 +58,7 @@ class Connection:
     silence: before every frame. character: duration of one on the wire. Both 0 with tcp and udp.
     low_latency: have the driver of the serial port hand octets over as they come.
     rs485: None leaves the port as it is.
+    dialect: of the devices there.
     """
 
     name: str
@@ -72,6 +75,7 @@ class Connection:
     character: int
     low_latency: bool = False
     rs485: DirectionControl | None = None
+    dialect: Dialect = STANDARD
 
     @property
     def is_serial(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from roclog.devices import hiac_roc
+from roclog.devices import hiac_roc, msx_e3317
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -13,5 +13,8 @@ if TYPE_CHECKING:
     from roclog.register_map import RegisterMap
 
 PROFILES: Final[Mapping[str, RegisterMap]] = MappingProxyType(
-    {register_map.name: register_map for register_map in (hiac_roc.REGISTER_MAP,)}
+    {
+        register_map.name: register_map
+        for register_map in (hiac_roc.REGISTER_MAP, msx_e3317.REGISTER_MAP)
+    }
 )

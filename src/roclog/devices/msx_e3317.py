@@ -8,6 +8,9 @@ What the document leaves open, and what is done:
   the document recommends; their answers are those of the standard.
 - 15300 (AcquisitionAutoRefreshGetValues) and the functions that are only listed by number have no
   documented layout: they are not called.
+- Which functions may be called again is not given. Those below tell something and are declared to
+  change nothing: each is called when its period is over, GetModuleType at the start and after an
+  outage, at most once a minute. A lost answer never makes a call: the next one on schedule does.
 - TestCustomerID hands out key material: it is not called.
 - Signs are not given: numbers are unsigned, like the names (ul...) say, but for the status, whose
   documented values are negative.
@@ -52,6 +55,7 @@ def _function(
     *,
     time: SecondsMicroseconds | None = None,
     period: int | None = None,
+    is_clock: bool = False,
 ) -> Block:
     return Block(
         name=name,
@@ -62,6 +66,7 @@ def _function(
         title=title,
         time=time,
         period=period,
+        is_clock=is_clock,
     )
 
 
@@ -103,6 +108,7 @@ CLOCK: Final = _function(
     ),
     "MXCommon__GetTimeEx",
     time=SecondsMicroseconds(seconds=0, microseconds=2),
+    is_clock=True,
 )
 
 PRESSURE_CHANNELS: Final = _function(
@@ -172,7 +178,7 @@ REGISTER_MAP: Final = RegisterMap(
     port=512,
     dialect=MSX_E,
     has_serial_port=False,
-    serial=SerialDefaults(baudrate=9600),
+    serial=SerialDefaults(baudrate=9600, is_documented=False),
     answer_limit=5_000_000_000,
     facts=(MODULE_TYPE,),
     samples=(CLOCK, CALIBRATION, PRESSURE_CHANNELS, ACQUISITION_CHANNELS, CHANNELS_INFO),

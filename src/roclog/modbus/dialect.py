@@ -22,12 +22,14 @@ class Dialect:
     applies the order to it.
     wide_below: byte counts of functions 3, 16 and 23 have 16 bits where the register is below this.
     units: that the device answers to. max_pdu: octets.
+    has_functions: a register is a function, and to read it is to call it.
     """
 
     order: ByteOrder = "big"
     wide_below: int = 0
     units: range = range(256)
     max_pdu: int = 253
+    has_functions: bool = False
 
     def count_size(self, register: int) -> int:
         """Octets of the byte count that goes with this register."""
@@ -61,6 +63,6 @@ class Dialect:
 
 STANDARD: Final = Dialect()
 
-MSX_E: Final = Dialect(wide_below=1000, units=range(2), max_pdu=258)
+MSX_E: Final = Dialect(wide_below=1000, units=range(2), max_pdu=258, has_functions=True)
 """ADDI-DATA MSX-E. A register is a function of the module; those below 1000 are kept for old
 clients. The vendor's client reads byte counts of at most 255, so 258 octets are the longest PDU."""

@@ -5,7 +5,9 @@ vendor's client for functions 16 and 23, the size of byte counts and the status.
 known from that client only. A payload is the octets between the fields of Modbus; its numbers of
 16 and 32 bits are in the order of the dialect, its text is not swapped.
 
-A call may act, a read too, so none is repeated on its own account, and word counts are exact.
+A call may act, a read too. So none is repeated because its answer was lost, none is joined with
+another, none cut, and word counts are exact. Only what a profile reads on schedule is called again,
+when it is due again: for those functions the profile declares that a call changes nothing.
 """
 
 from __future__ import annotations
@@ -158,7 +160,8 @@ class CommandStatus:
 
     def __str__(self) -> str:
         errno = f", errno {self.errno}" if self.return_value == _SEE_ERRNO or self.errno else ""
-        return f"returned {self.return_value}{errno}{': ' * bool(self.text)}{self.text}"
+        text = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in self.text)
+        return f"returned {self.return_value}{errno}{': ' * bool(text)}{text}"
 
 
 def status_request(dialect: Dialect = MSX_E) -> ReadFunction:

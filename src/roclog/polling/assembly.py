@@ -123,6 +123,7 @@ class Assembly:
             period=period,
             outbox=self._outbox(device),
             clock_watch=shared.clock_watch,
+            dialect=device.profile.dialect,
         )
 
     def _stamped(self, shared: _Shared, table: Table) -> StampedTable:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from roclog.errors import ExceptionAnswer
+from roclog.modbus.dialect import STANDARD
 from roclog.modbus.request import ReadRegisters, words
+from roclog.polling.refusal import described
 from roclog.polling.request_plan import plan_requests
 from roclog.register_map import Counter
 from roclog.samples import Reading
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from roclog.bus.bus import Answer, Bus
     from roclog.bus.tally import Tally
     from roclog.clock import Instant
+    from roclog.modbus.dialect import Dialect
     from roclog.outbox import Outbox
     from roclog.polling.clock_watch import ClockWatch
     from roclog.polling.request_plan import Fetch
@@ -130,6 +133,7 @@ class CyclicBlocks:
         period: int,
         outbox: Outbox,
         clock_watch: ClockWatch,
+        dialect: Dialect = STANDARD,
     ) -> None:
         self.period = period
         self.outbox = outbox
@@ -138,7 +142,8 @@ class CyclicBlocks:
         self._tally = tally
         self._blocks = blocks
         self._clock_watch = clock_watch
-        self._plan = plan_requests([block.maker.block for block in blocks])
+        self._dialect = dialect
+        self._plan = plan_requests([block.maker.block for block in blocks], dialect)
         self._halves: dict[int, tuple[Instant, bytes]] = {}
         self._refused: set[int] = set()
 
@@ -159,7 +164,7 @@ class CyclicBlocks:
                 try:
                     await self._fetch(fetch, due)
                 except ExceptionAnswer as refusal:
-                    self._tell_refusal(number, refusal)
+                    await self._tell_refusal(number, refusal)
                 else:
                     self._tell_acceptance(number)
         finally:
@@ -200,10 +205,11 @@ class CyclicBlocks:
             first, last, count = lost
             self.outbox.add(self._blocks[0].maker.gap(first, last, count, Reason.STORAGE, last))
 
-    def _tell_refusal(self, number: int, refusal: ExceptionAnswer) -> None:
+    async def _tell_refusal(self, number: int, refusal: ExceptionAnswer) -> None:
         if number not in self._refused:
             self._refused.add(number)
-            text = f"{self._names(number)} refused, asked for all the same: {refusal}"
+            why = await described(refusal, self._unit, self._bus, self._tally, self._dialect)
+            text = f"{self._names(number)} refused, asked for all the same: {why}"
             self.outbox.event("warning", "refused", text)
 
     def _tell_acceptance(self, number: int) -> None:

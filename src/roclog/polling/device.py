@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from roclog.errors import DeviceError, ExceptionAnswer, LinkDown
 from roclog.polling.facts import device_metadata, read_facts
+from roclog.polling.refusal import described
 from roclog.samples import link_entry
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ class PolledDevice:
         self._facts_due = True
         self._facts_after = 0
         self._facts_failures = 0
+        self._are_calls = device.profile.dialect.has_functions
         self._trouble = ""
         self._failures = 0
         self._has_answered = False
@@ -167,19 +169,24 @@ class PolledDevice:
     async def _read_facts(self) -> None:
         """Identity and configuration; after a failure the next poll goes without them.
 
-        A device that answers samples but not these is asked for them once a minute.
+        A device that answers samples but not these is asked for them once a minute; where reading
+        them is calling functions, never more often.
         """
         self._facts_failures += 1
-        pause = _FACTS_PAUSE if self._facts_failures > _PATIENCE else 1.5 * self.device.poll
+        is_late = self._facts_failures > _PATIENCE or self._are_calls
+        pause = _FACTS_PAUSE if is_late else 1.5 * self.device.poll
         self._facts_after = self._now() + int(pause)
         for block in self.device.profile.facts:
             try:
                 found = await read_facts(block, self.device, self._bus, self._tally)
                 self.facts[block.name] = found
             except ExceptionAnswer as refusal:
-                self.outbox.event("warning", "facts", f"{block.name} block: {refusal}")
+                unit, dialect = self.device.unit, self.device.profile.dialect
+                why = await described(refusal, unit, self._bus, self._tally, dialect)
+                self.outbox.event("warning", "facts", f"{block.name} block: {why}")
         self._facts_due = False
-        self._facts_after = self._facts_failures = 0
+        self._facts_failures = 0
+        self._facts_after = self._facts_after if self._are_calls else 0
         self._set_cycle()
         metadata = device_metadata(self.device, self.facts)
         self._writer.describe(f"roclog.device.{self.device.name}", metadata)

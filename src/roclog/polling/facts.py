@@ -22,8 +22,10 @@ async def read_facts(block: Block, device: Device, bus: Bus, tally: Tally) -> di
     Raises:
         DeviceError: as Bus.transact.
     """
-    answer = await bus.transact(device.unit, read_request(block), tally)
-    decoded = decode(block, block_words(block, answer.pdu[2:]), device.word_order)
+    request = read_request(block, device.profile.dialect)
+    answer = await bus.transact(device.unit, request, tally)
+    words = block_words(block, answer.pdu[len(request.head) :])
+    decoded = decode(block, words, device.word_order)
     return dict(zip(field_names(block), decoded.values, strict=True))
 
 
@@ -33,6 +35,7 @@ def device_metadata(device: Device, facts: dict[str, dict[str, Value]]) -> dict[
         "profile": device.profile.name,
         "unit": str(device.unit),
         "connection": device.connection,
+        "word_order": device.word_order.value,
         "register_map": json.dumps([_described(block) for block in device.profile.samples]),
         **{name: json.dumps(values) for name, values in facts.items()},
     }

@@ -1,4 +1,7 @@
-"""Blocks to requests: neighbours joined, large blocks split, atomic ones left alone."""
+"""Blocks to requests: neighbours joined, large blocks split, atomic ones left alone.
+
+Where a register is a function each block is one call of it, whole and alone.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,15 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 from roclog.modbus.bits import ReadBits
+from roclog.modbus.dialect import STANDARD
+from roclog.modbus.functions import ReadFunction
 from roclog.modbus.request import ReadRegisters
 from roclog.register_map import MAX_READ_REGISTERS, ClearOnRead
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from roclog.modbus.dialect import Dialect
     from roclog.modbus.request import Request
     from roclog.register_map import Block
 
@@ -41,19 +47,23 @@ class Fetch:
     gate: ClearOnRead | None = None
 
 
-def read_request(block: Block) -> Request:
-    """One request for a whole block."""
+def read_request(block: Block, dialect: Dialect = STANDARD) -> Request:
+    """One request for a whole block; its data follow the head of the answer."""
+    if dialect.has_functions:
+        return ReadFunction(block.address, block.count, dialect=dialect)
     kind = ReadBits if block.table.has_bits else ReadRegisters
     return kind(block.table.read_function, block.address, block.count)
 
 
-def plan_requests(blocks: Sequence[Block]) -> tuple[Fetch, ...]:
+def plan_requests(blocks: Sequence[Block], dialect: Dialect = STANDARD) -> tuple[Fetch, ...]:
     """The fewest requests that read all blocks once, each block's octets in order.
 
     Only blocks that are not atomic share a request, and only those that touch: registers that no
     block names are never read.
     """
     numbered = list(enumerate(blocks))
+    if dialect.has_functions:
+        return tuple(_called(index, block, dialect) for index, block in numbered)
     fetches = [_whole(*pair) for pair in numbered if _is_whole(pair[1])]
     loose = sorted(
         (pair for pair in numbered if not _is_whole(pair[1])),
@@ -63,6 +73,11 @@ def plan_requests(blocks: Sequence[Block]) -> tuple[Fetch, ...]:
         for run in _runs(same_table):
             fetches += _split(run)
     return tuple(fetches)
+
+
+def _called(index: int, block: Block, dialect: Dialect) -> Fetch:
+    request = read_request(block, dialect)
+    return Fetch(request, (Part(index, len(request.head), request.answer_size),))
 
 
 def _is_whole(block: Block) -> bool:

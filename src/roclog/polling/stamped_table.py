@@ -46,7 +46,8 @@ class _Piece:
 class StampedTable:
     """All lists of one table of a device.
 
-    memory: the states on disk. read_until: UTC ns of an earlier run's last read, 0 = none.
+    memory: the states on disk. read_until: UTC ns up to which an earlier run saw every input, 0 =
+    none did.
     """
 
     def __init__(
@@ -74,7 +75,6 @@ class StampedTable:
         self._memory = memory
         self._clock = clock
         self._read_until = read_until
-        self._last: Instant | None = None
         self._waiting: dict[int, tuple[Entry, Change]] = {}
         self._refused: set[ReadStamped] = set()
         self._blind: tuple[int, int, Reason] | None = None
@@ -118,13 +118,12 @@ class StampedTable:
             await self._commit()
 
     def close(self) -> None:
-        if self._last is not None and self.outbox.empty:
-            carry = self._maker.carry(self._memory, self._last.utc)
+        if any(piece.last for piece in self._pieces) and self.outbox.empty:
+            carry = self._maker.carry(self._memory, self._seen_until())
             self.outbox.checkpoint(self._maker.topic, carry)
 
     def _take(self, piece: _Piece, answer: Answer) -> None:
         last, piece.last = piece.last, answer
-        self._last = answer.read
         self._find_blind(last, answer.read)
         layout, ambiguous = self._layout(piece, answer)
         seen = parse(piece.request, answer.pdu, layout)
@@ -163,11 +162,19 @@ class StampedTable:
             self._clock.note(change.state.device_time, earliest, read)
 
     async def _commit(self) -> None:
-        self._maker.update(self._memory, self._last.utc if self._last is not None else 0)
+        self._maker.update(self._memory, self._seen_until())
         if await self.outbox.flush():
             for _, change in self._waiting.values():
                 self._memory.committed(change)
             self._waiting.clear()
+
+    def _seen_until(self) -> int:
+        """UTC ns up to which every input that can be read has been seen; 0 = none was ever."""
+        wanted = [piece for piece in self._pieces if piece.request not in self._refused]
+        read = [piece.last.asked.utc for piece in wanted if piece.last is not None]
+        if self._read_until and len(read) < len(wanted):
+            return self._read_until
+        return min(read, default=self._read_until)
 
     def _forget(self, entry: Entry) -> None:
         """A change that the disk did not take in time: the next read shows that input again."""

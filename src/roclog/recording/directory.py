@@ -198,10 +198,15 @@ def _apply(path: Path, state: Inheritance) -> None:
 
 
 class _Inputs:
-    """The states of a channel's inputs: what a segment begins with, then its messages."""
+    """The states of a channel's inputs: what a segment begins with, then its messages.
+
+    read_at: every input was seen up to then. A message says so of the instant at which the answer
+    before its own was asked for; the first ones of a run say nothing new.
+    """
 
     def __init__(self, carry: Mapping[str, Any] | None) -> None:
         self._carry = carry
+        self._seen_until = int((carry or {}).get("read_at", 0))
         self._last: dict[str, Any] = {}
         self._memory: ChangeMemory | None = None
 
@@ -219,7 +224,8 @@ class _Inputs:
         stamp, time = values["time_octets"], values["device_time"]
         state = State(values["value"], stamp, time, values["time_flags"])
         self._memory.restore(values["address"], state)
-        self._last = {"epoch": epoch, "seq": values["seq"], "read_at": values["read_at"]}
+        until = values["previous_read_at"] or self._last.get("read_at") or self._seen_until
+        self._last = {"epoch": epoch, "seq": values["seq"], "read_at": until or values["asked_at"]}
 
     @property
     def carry(self) -> dict[str, Any] | None:

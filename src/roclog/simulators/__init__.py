@@ -2,16 +2,19 @@
 
 from roclog.simulators.endpoints import PtyEndpoint, RtuOverTcpEndpoint, TcpEndpoint, UdpEndpoint
 from roclog.simulators.hiac_roc import SimulatedRoc
+from roclog.simulators.mei_timestamped import Quirk, SimulatedStampedInputs
 from roclog.simulators.serial_line import LineSettings, SerialLine, Statistics
 from roclog.simulators.server import SimulatedDevice, SimulatorServer
 
 __all__ = [
     "LineSettings",
     "PtyEndpoint",
+    "Quirk",
     "RtuOverTcpEndpoint",
     "SerialLine",
     "SimulatedDevice",
     "SimulatedRoc",
+    "SimulatedStampedInputs",
     "SimulatorServer",
     "Statistics",
     "TcpEndpoint",
