@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     Resolve = Callable[[bytes, "ChangeKind"], tuple[int, int]]
     """Device time (UTC ns, 0 = unknown) and time flags of stamp octets seen for the first time.
 
-    A baseline may be of any age: a stamp without a date has no device time there.
+    A baseline may be of any age: a stamp without a date gets the nearest one not later than the
+    host's clock and a tolerance, and a flag that says so.
     """
 
 _RUN: Final = struct.Struct(">HHB")

@@ -101,7 +101,14 @@ def _gather(
 
 
 def _panels(sample: Sample, channel: Channel | None) -> list[Panel]:
-    """Empty ones: for ISO codes and what has a unit. Without units: what is numbered, or all."""
+    """Empty ones: for ISO codes and what has a unit. Without units: what is numbered, or all.
+
+    None for changes of inputs, whose numbers are those of another input from message to message,
+    and for clock offsets, which are about the device and not what it measures.
+    """
+    is_change = sample.values.keys() >= {"address", "change", "time_octets"}
+    if is_change or (channel is not None and channel.schema == "roclog.ClockOffset"):
+        return []
     units: Mapping[str, str] = channel.units if channel is not None else {}
     panels: dict[tuple[str, str], Panel] = {}
     for name, value in sample.values.items():

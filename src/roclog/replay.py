@@ -18,6 +18,19 @@ _NUMBERED: Final = re.compile(r"(.+)_\d+")
 _UNITS: Final = {"Cel": "°C", "1/mL": "/mL", "[ppm]": "ppm", "1": ""}
 _MOST_GROUPS: Final = 6
 _SHORT: Final = {"iso_code": "ISO"}
+_STAMPED: Final = frozenset({"address", "value", "change", "time_octets"})
+"""Fields of a channel with one message for each change of an input."""
+_MS: Final = 10**6
+
+
+def logged_at(record: Record) -> int:
+    """Host time, ns UTC."""
+    return record.log_time
+
+
+def happened_at(record: Record) -> int:
+    """The device's own time of a sample that has one, else host time; ns UTC."""
+    return (isinstance(record, Sample) and record.device_time) or record.log_time
 
 
 def paced(
@@ -25,17 +38,19 @@ def paced(
     speed: float | None,
     now: Callable[[], float],
     sleep: Callable[[float], None],
+    instant: Callable[[Record], int] = logged_at,
 ) -> Iterator[Record]:
-    """Each record when it is due: differences of log_time, divided by ``speed``.
+    """Each record when it is due: differences of its instant, divided by ``speed``.
 
-    Where the wall clock stepped back there is no wait. Waits do not add up: each is counted from
-    the first record on.
+    Where the instants step back, as with the wall clock, there is no wait. Waits do not add up:
+    each is counted from the first record on.
 
     Args:
-        records: in recording order.
+        records: in the order in which they come out.
         speed: above 0; None = as fast as possible.
         now: seconds of a monotonic clock.
         sleep: waits for seconds.
+        instant: ns of a record.
     """
     due = begin = previous = None
     for record in records:
@@ -43,11 +58,11 @@ def paced(
             if begin is None or due is None or previous is None:
                 begin, due = now(), 0.0
             else:
-                due += max(0, record.log_time - previous) / 1e9 / speed
+                due += max(0, instant(record) - previous) / 1e9 / speed
                 wait = begin + due - now()
                 if wait > 0:
                     sleep(wait)
-            previous = record.log_time
+            previous = instant(record)
         yield record
 
 
@@ -83,16 +98,23 @@ def _is_main(group: Group) -> bool:
 
 
 class Lines:
-    """Records as aligned lines; columns only grow, so that neighbours stand below each other."""
+    """Records as aligned lines; columns only grow, so that neighbours stand below each other.
 
-    def __init__(self, channels: Mapping[str, Channel]) -> None:
+    Args:
+        channels: of the recording, by topic.
+        instant: logged_at or happened_at, the time that a line begins with.
+    """
+
+    def __init__(
+        self, channels: Mapping[str, Channel], instant: Callable[[Record], int] = logged_at
+    ) -> None:
         self._channels = channels
+        self._instant = instant
         self._groups: dict[str, list[Group]] = {}
         self._widths: dict[tuple[str, int], int] = {}
 
     def line(self, record: Record) -> str:
-        time = format_instant(record.log_time // 10**6 * 10**6)
-        head = [self._fit("", 0, f"{time[:19]}.{record.log_time // 10**6 % 1000:03d}Z")]
+        head = [self._fit("", 0, _to_the_millisecond(self._instant(record)))]
         if isinstance(record, Sample):
             cells = [record.device, record.block, *self._sample(record)]
         elif isinstance(record, Event):
@@ -105,6 +127,9 @@ class Lines:
         return "  ".join(head).rstrip()
 
     def _sample(self, sample: Sample) -> Iterator[str]:
+        if sample.values.keys() >= _STAMPED:
+            yield from self._event(sample)
+            return
         if sample.topic not in self._groups:
             self._groups[sample.topic] = groups(self._channels[sample.topic])
         shown = self._groups[sample.topic]
@@ -119,7 +144,26 @@ class Lines:
             flags.append("redelivered")
         if sample.origin == "changed":
             flags.append("changed")
+        if self._instant is happened_at and sample.device_time is None:
+            flags.append("host time")
         yield " ".join(flags)
+
+    def _event(self, sample: Sample) -> Iterator[str]:
+        """A change of an input: its address and value, what changed, and what its stamp says."""
+        values = sample.values
+        known = sample.device_time
+        value = str(values["value"])
+        width = self._width(Group(f"value {sample.topic}", ("value",), ""), value)
+        yield f"{values['address']!s:>5} = {value.rjust(width)}"
+        yield str(values["change"]).replace("_", " ")
+        if self._instant is logged_at:
+            yield "no device time" if known is None else f"device {_to_the_millisecond(known)}"
+        notes = list(sample.time_flags)
+        if known is None and self._instant is not logged_at:
+            notes.insert(0, "host time:")
+        if values.get("hidden"):
+            notes.append("went away and came back unseen")
+        yield " ".join(notes)
 
     def _value(self, sample: Sample, name: str) -> str:
         value = sample.values.get(name)
@@ -139,6 +183,11 @@ class Lines:
         key = (layout, column)
         self._widths[key] = max(self._widths.get(key, 0), len(text))
         return text.ljust(self._widths[key])
+
+
+def _to_the_millisecond(nanoseconds: int) -> str:
+    text = format_instant(nanoseconds // _MS * _MS)
+    return f"{text[:19]}.{nanoseconds // _MS % 1000:03d}Z"
 
 
 def int_or_none(value: float) -> int | None:

@@ -477,6 +477,10 @@ WRONG_SIMULATIONS = [
     (["hiac-roc", "--tcp", "127.0.0.1:0", "--speed", "0"], "0.0 is not a positive number"),
     (["hiac-roc", "--tcp", "127.0.0.1:0", "--speed", "inf"], "inf is not a positive number"),
     (["--tcp", "127.0.0.1:0"], "Missing argument"),
+    (["msx-e3317", "--pty", "x"], "msx-e3317 is served with --tcp or --udp"),
+    (["msx-e3317", "--rtu-over-tcp", "127.0.0.1:0"], "msx-e3317 is served with --tcp or --udp"),
+    (["msx-e3317:2", "--tcp", "127.0.0.1:0"], "2 is not a unit of msx-e3317, 0 or 1"),
+    (["hiac-roc", "--tcp", "127.0.0.1:0", "--byte-order", "big"], "is for msx-e3317 only"),
 ]
 
 
@@ -558,6 +562,35 @@ def test_simulate_on_another_transport_and_probe_it(transport: str, config: Path
     assert (result.exit_code, taken.returncode) == (0, 2)
     assert re.search("^answers     roc1: ", result.stdout, re.MULTILINE)
     assert f"Invalid value for --{transport}: 127.0.0.1:{match[1]}: cannot" in taken.stderr
+
+
+@pytest.mark.parametrize("order", ["big", "little"])
+@pytest.mark.parametrize("transport", ["tcp", "udp"])
+def test_simulate_a_module_in_its_byte_order(transport: str, order: str, config: Path) -> None:
+    simulation = Simulation("msx-e3317", f"--{transport}", "127.0.0.1:0", "--byte-order", order)
+    match = re.search("unit 1 on 127.0.0.1:([0-9]+) at speed 1, Ctrl-C ends", simulation.line)
+    assert match, simulation.line
+    config.write_text(
+        f"[connections.lab]\ntransport = '{transport}'\nhost = '127.0.0.1'\nport = {match[1]}\n"
+        f"[devices.msx1]\nprofile = 'msx-e3317'\nconnection = 'lab'\nbyte_order = '{order}'\n"
+    )
+    result = invoke("read", config, "msx1", "--json")
+    assert simulation.stop(signal.SIGTERM) == (0, "")
+    assert result.exit_code == 0
+    blocks = json.loads(result.stdout)["blocks"]
+    assert blocks["module_type"]["values"] == {"module_type": "MSX-E3317"}
+    assert blocks["pressure_channels"]["values"] == {"channels": 8}
+    assert abs(blocks["clock"]["values"]["seconds"] - time.time()) < 10
+
+
+def test_profile_of_a_module() -> None:
+    text = invoke("profiles", "msx-e3317").stdout
+    assert "delivered   unit 1, TCP and UDP only, port 512\n" in text
+    assert "block       clock: function 10500, 4 words, called at every poll\n" in text
+    assert "channels_info: function 15050, 96 words, called every 1min\n" in text
+    assert "silence" not in text
+    (found,) = json.loads(invoke("profiles", "msx-e3317", "--json").stdout)["profiles"]
+    assert (found["port"], found["serial"]) == (512, None)
 
 
 def test_simulate_on_a_serial_line(tmp_path: Path, config: Path) -> None:

@@ -292,3 +292,19 @@ def test_register_maps_beyond_the_last_register_are_refused() -> None:
     block = replace(ROC.samples[0], address=65_510)
     with pytest.raises(RegisterMapError, match="registers 65510 to 65536 do not exist"):
         check_register_map(replace(ROC, samples=(block,)))
+
+
+def test_a_module_whose_frames_are_its_own(load_text: Load) -> None:
+    table = '[connections.lab]\ntransport = "udp"\nhost = "plc"\n'
+    table += '[devices.msx1]\nprofile = "msx-e3317"\nconnection = "lab"\n'
+    for line, order, words in (
+        ("", "big", WordOrder.ABCD),
+        ('byte_order = "big"\n', "big", WordOrder.ABCD),
+        ('byte_order = "little"\n', "little", WordOrder.DCBA),
+    ):
+        settings = load_text(table + line)
+        lab, device = settings.connections["lab"], settings.devices["msx1"]
+        assert (lab.port, lab.timeout, lab.dialect.order) == (512, 5 * 10**9, order)
+        assert lab.dialect == device.profile.dialect
+        assert (device.unit, device.word_order) == (1, words)
+        assert not device.clears

@@ -159,6 +159,7 @@ def test_a_refused_block_keeps_no_other_from_being_read() -> None:
         assert [seq for seq, _ in disk.samples("/flow/b")] == [1, 2, 3]
         assert len(disk.notes) == 1  # told once, asked every time
         assert sum(adu[3] == 100 for _, adu in link.sent) == 3
+        assert len(link.sent) == 6  # nothing else is asked
 
     run(main())
 

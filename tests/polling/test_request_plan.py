@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roclog.modbus.dialect import MSX_E
+from roclog.modbus.functions import ReadFunction
 from roclog.modbus.request import ReadRegisters
 from roclog.polling.request_plan import plan_requests
 from roclog.register_map import Block, Table
@@ -92,3 +95,16 @@ def test_every_register_arrives_once_and_in_order(
     assert found == {
         index: list(range(b.address, b.address + b.count)) for index, b in enumerate(blocks)
     }
+
+
+def test_functions_are_called_one_by_one() -> None:
+    """Those of the MSX-E, whose numbers touch only by chance."""
+    blocks = [block(15000, 2), block(15002, 96), block(1, 2)]
+    for order in ("big", "little"):
+        dialect = replace(MSX_E, order=order)
+        found = plan_requests(blocks, dialect)
+        assert [fetch.request for fetch in found] == [
+            ReadFunction(b.address, b.count, dialect=dialect) for b in blocks
+        ]
+        parts = [(part.block, part.start, part.stop) for f in found for part in f.parts]
+        assert parts == [(0, 2, 6), (1, 2, 194), (2, 3, 7)]

@@ -28,13 +28,6 @@ _EQUAL_MALLOC: Final = {
 """asyncio receives into 256 KiB at a time. glibc maps and unmaps those pages at every read unless
 the process has happened to free something larger before: some 20 us for each poll that depend on
 what a program has imported, and not on what is measured."""
-MALLOC: Final = {
-    "MALLOC_MMAP_THRESHOLD_": str(4 << 20),
-    "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
-}
-"""asyncio receives into 256 KiB at a time. glibc maps and unmaps those pages at every read unless the
-process has happened to free something larger before: some 20 us for each poll that depend on what a
-program has imported, and not on what is measured."""
 MALLOC: Final = ("equal", "default")
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from roclog.clock import SystemClock
+from roclog.runner import keep_for_good
 from roclog.session import Session
 from yardstick.fleet import settings
 from yardstick.process_cost import cost, since
@@ -59,6 +60,7 @@ async def run(folder: Path, port: int, devices: int, seconds: float) -> dict[str
         for device in session.devices:
             timer = timed[device.device.name] = TimedPoller(device.pollers[0])
             device.pollers = [timer]
+        keep_for_good()
         running = asyncio.create_task(session.run())
         await asyncio.sleep(seconds)
         session.stop()

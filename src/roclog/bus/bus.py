@@ -140,6 +140,11 @@ class Bus:
             self._settle(tally)
             self._turns.release()
 
+    @property
+    def has_queue(self) -> bool:
+        """Somebody waits for the connection."""
+        return self._turns.has_queue
+
     def close(self) -> None:
         """Close the link; a later transaction opens it again."""
         self.link.close()

@@ -18,6 +18,10 @@ class Turns:
         self._waiting: list[tuple[int, int, asyncio.Future[None]]] = []
         self._asked = 0
 
+    @property
+    def has_queue(self) -> bool:
+        return bool(self._waiting)
+
     async def take(self, due: int) -> None:
         """Return when it is our turn. due: monotonic nanoseconds; equals go in order of asking."""
         if not self._is_taken:

@@ -8,7 +8,7 @@ import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from roclog.demo import Paths
+    from roclog.recording.reader import Recording
     from roclog.session import Session
 
 
@@ -43,8 +44,9 @@ def demo(duration: int, out: Path) -> None:
     """Record simulated devices and show what comes out.
 
     Three particle counters, two on one serial line (a pseudo terminal) and one behind TCP, at 30
-    times their real speed. They are recorded as real ones would be; at the end the exported CSV is
-    compared with what the simulators made. Needs no hardware, no configuration and no root.
+    times their real speed, and a device with time-stamped inputs on UDP. They are recorded as real
+    ones would be; at the end the exported CSV is compared with what the simulators made. Needs no
+    hardware, no configuration and no root.
 
     \b
     Example:
@@ -57,7 +59,8 @@ def demo(duration: int, out: Path) -> None:
         raise click.UsageError("--for must be at least 3s: a simulated sample takes half a second")
     paths = Paths(_new_folder(out))
     logging.getLogger("roclog").addHandler(logging.NullHandler())
-    click.echo(f"simulating three particle counters and recording them for {seconds:g} s", err=True)
+    what = "three particle counters and a device with time-stamped inputs"
+    click.echo(f"simulating {what}, recording for {seconds:g} s", err=True)
     with _progress(seconds) as on_second:
         asyncio.run(run_demo(paths, seconds, on_second))
     exact = _report(paths)
@@ -104,7 +107,7 @@ def _report(paths: Paths) -> bool:
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
-    from roclog.demo import compare  # noqa: PLC0415
+    from roclog.demo import STAMPED  # noqa: PLC0415
     from roclog.export import export  # noqa: PLC0415
     from roclog.recording.reader import open_recording  # noqa: PLC0415
 
@@ -123,24 +126,48 @@ def _report(paths: Paths) -> bool:
         table.add_column(heading, justify="left" if heading == "device" else "right")
     exact = True
     for device in sorted(recording.devices):
-        made, equal = compare(paths.truth(device), paths.csv / f"{device}.sample.csv")
-        samples = list(recording.samples(device=device))
-        cleared = sum(1 for clear in recording.clears(device=device) if clear.result == "done")
-        gaps = sum(1 for _ in recording.gaps(device=device))
-        codes = " ".join(f"{samples[-1].values[f'iso_code_{n}']:.1f}" for n in range(1, 5))
-        exact = exact and made == equal == len(samples) and gaps == 0
         row = (
-            made,
-            len(samples),
-            "yes" if made == equal == len(samples) else "NO",
-            cleared,
-            gaps,
-            codes,
+            _stamped(recording, paths) if device == STAMPED else _counter(recording, paths, device)
         )
-        table.add_row(device, *(str(cell) for cell in row))
+        exact = exact and row.exact
+        table.add_row(device, *row.cells)
     Console().print(table)
     _print_paths(paths, plotted=_plot(paths))
     return exact
+
+
+class _Row(NamedTuple):
+    """One line of the table, and whether it is as it should be."""
+
+    exact: bool
+    cells: tuple[str, ...]
+
+
+def _counter(recording: Recording, paths: Paths, device: str) -> _Row:
+    from roclog.demo import compare  # noqa: PLC0415
+
+    made, equal = compare(paths.truth(device), paths.csv / f"{device}.sample.csv")
+    samples = list(recording.samples(device=device))
+    cleared = sum(1 for clear in recording.clears(device=device) if clear.result == "done")
+    gaps = sum(1 for _ in recording.gaps(device=device))
+    codes = " ".join(f"{samples[-1].values[f'iso_code_{n}']:.1f}" for n in range(1, 5))
+    same = made == equal == len(samples)
+    return _row(made, len(samples), str(cleared), gaps, codes, same=same)
+
+
+def _stamped(recording: Recording, paths: Paths) -> _Row:
+    """Reading changes nothing in this device: there is no flag to clear."""
+    from roclog.demo import STAMPED, compare_changes  # noqa: PLC0415
+
+    made, equal = compare_changes(paths.truth(STAMPED), paths.csv)
+    count = sum(1 for sample in recording.samples(device=STAMPED) if "change" in sample.values)
+    gaps = sum(1 for gap in recording.gaps(device=STAMPED) if not gap.possible)
+    return _row(made, count, "-", gaps, "-", same=made == equal == count)
+
+
+def _row(made: int, count: int, cleared: str, gaps: int, codes: str, *, same: bool) -> _Row:
+    cells = (str(made), str(count), "yes" if same else "NO", cleared, str(gaps), codes)
+    return _Row(same and gaps == 0, cells)
 
 
 def _plot(paths: Paths) -> bool:
@@ -164,3 +191,5 @@ def _print_paths(paths: Paths, *, plotted: bool) -> None:
     click.echo()
     click.echo(f"next: roclog info {paths.recordings}")
     click.echo(f"      roclog replay {paths.recordings} --speed 10 --channel '/roc1/*'")
+    order = "--order device-time --speed max --channel '/rtu7/*'"
+    click.echo(f"      roclog replay {paths.recordings} {order}")

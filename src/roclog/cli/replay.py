@@ -11,6 +11,8 @@ import click
 from roclog.cli import output
 
 MAX: Final = "max"
+LOG_TIME: Final = "log-time"
+DEVICE_TIME: Final = "device-time"
 
 
 def _speed(context: click.Context, option: click.Parameter, value: str) -> float | None:
@@ -36,12 +38,21 @@ def _speed(context: click.Context, option: click.Parameter, value: str) -> float
     metavar="N|max",
     help="1 is as recorded, 10 ten times as fast, max without waiting.  [default: 1]",
 )
+@click.option(
+    "--order",
+    type=click.Choice([LOG_TIME, DEVICE_TIME]),
+    default=LOG_TIME,
+    show_default=True,
+    help="device-time: by the devices' own clocks, samples without their time by log_time. All "
+    "that is selected is read into memory first; --from and --to go by log_time.",
+)
 @output.time_options
 @click.option("--json", "as_json", is_flag=True, help="NDJSON: one object a line.")
 def replay(
     paths: tuple[str, ...],
     *,
     speed: float | None,
+    order: str,
     start: str | None,
     end: str | None,
     channels: tuple[str, ...],
@@ -49,24 +60,32 @@ def replay(
 ) -> None:
     """Print the samples of recordings in the order and at the pace they were recorded.
 
+    Time-stamped inputs are one line for each change. With --order device-time that is the sequence
+    of events, to the millisecond as the devices have it; a line without a device time says
+    "host time".
+
     With --channel whatever such channels hold: '*/gap', '/log', '*' for everything.
 
     \b
     Example:
       roclog replay recordings --speed 60 --channel '/roc1/*'
+      roclog replay recordings --speed max --order device-time --channel '/rtu7/*'
     """
     from roclog.recording.objects import as_line  # noqa: PLC0415
-    from roclog.replay import Lines, paced  # noqa: PLC0415
+    from roclog.replay import Lines, happened_at, logged_at, paced  # noqa: PLC0415
 
     recording = output.open_paths(paths)
     with output.usage_errors():
         records = recording.records(
             channels or None, start=start, end=end, kinds=None if channels else ("sample",)
         )
-    lines = Lines(recording.channels)
+    instant = happened_at if order == DEVICE_TIME else logged_at
+    lines = Lines(recording.channels, instant)
     watched = speed is not None or sys.stdout.isatty()
     try:
-        for record in paced(records, speed, time.monotonic, time.sleep):
+        if order == DEVICE_TIME:
+            records = iter(sorted(records, key=instant))
+        for record in paced(records, speed, time.monotonic, time.sleep, instant):
             text = as_line(record) if as_json else output.printable(lines.line(record))
             sys.stdout.write(f"{text}\n")
             if watched:

@@ -20,6 +20,7 @@ from roclog.simulators import (
     PtyEndpoint,
     Quirk,
     RtuOverTcpEndpoint,
+    SimulatedMsxE3317,
     SimulatedRoc,
     SimulatedStampedInputs,
     SimulatorServer,
@@ -34,9 +35,11 @@ if TYPE_CHECKING:
     from roclog.simulators import SimulatedDevice
 
 _STAMPED: Final = "mei-timestamped"
+_MSX: Final = "msx-e3317"
 _SIMULATED: Final[dict[str, Callable[..., SimulatedDevice]]] = {
     "hiac-roc": SimulatedRoc,
     _STAMPED: SimulatedStampedInputs,
+    _MSX: SimulatedMsxE3317,
 }
 _MAPS: Final[Mapping[str, RegisterMap]] = {
     **PROFILES,
@@ -73,10 +76,15 @@ def _devices(
         wanted.append(Wanted(profile, int(unit) if colon else _MAPS[profile].unit))
     units = [each.unit for each in wanted]
     for each in wanted:
-        if not 1 <= each.unit <= 247:
+        if each.profile == _MSX:
+            if each.unit not in _MAPS[_MSX].dialect.units:
+                text = f"{each.unit} is not a unit of {_MSX}, 0 or 1"
+                raise click.BadParameter(text, param=parameter)
+        elif not 1 <= each.unit <= 247:
             raise click.BadParameter(f"{each.unit} is not a unit from 1 to 247", param=parameter)
         if units.count(each.unit) > 1:
-            text = f"unit {each.unit} twice; write {each.profile}:{each.unit + 1} for another one"
+            other = 1 - each.unit if each.profile == _MSX else each.unit + 1
+            text = f"unit {each.unit} twice; write {each.profile}:{other} for another one"
             raise click.BadParameter(text, param=parameter)
     return tuple(wanted)
 
@@ -214,6 +222,11 @@ def _positive(_: click.Context, parameter: click.Parameter, value: float) -> flo
     help=f"{_STAMPED}: answer as some devices do, or (misprinted) as the paper's wrong example; "
     "may be repeated.",
 )
+@click.option(
+    "--byte-order",
+    type=click.Choice(["big", "little"]),
+    help=f"{_MSX}: of numbers, and of the MBAP header.  [default: big]",
+)
 def simulate(
     devices: tuple[Wanted, ...],
     *,
@@ -227,9 +240,10 @@ def simulate(
     speed: float,
     seed: int,
     truth: Path | None,
+    byte_order: str | None,
     **stamped: Any,
 ) -> None:
-    """Serve simulated devices: hiac-roc, mei-timestamped.
+    """Serve simulated devices.
 
     Ends with SIGINT (Ctrl-C) or SIGTERM, exit code 0. UNIT is the one that the device is delivered
     with where it is not given. With --baud, --turnaround or --usb-latency, what the line has seen
@@ -241,20 +255,15 @@ def simulate(
     Example:
       roclog simulate hiac-roc hiac-roc:139 --tcp 127.0.0.1:5020 --speed 10
       roclog simulate hiac-roc hiac-roc:139 --pty line --baud 9600 --turnaround 10ms
+      roclog simulate msx-e3317 --udp 127.0.0.1:5120 --byte-order little
       roclog simulate mei-timestamped --udp 127.0.0.1:5020 --rate 5 --clock-offset 2s
     """
     is_timed = any(option is not None for option in (baud, turnaround, usb_latency))
     if is_timed and pty is None:
         raise click.UsageError("--baud, --turnaround and --usb-latency are for --pty only")
-    given = {name: value for name, value in stamped.items() if value is not None}
-    if given and all(wanted.profile != _STAMPED for wanted in devices):
-        text = f"--rate, --clock-offset, --clock-drift and --quirk are for {_STAMPED} only"
-        raise click.UsageError(text)
-    endpoints: list[Endpoint] = [
-        kind(*address)
-        for kind, address in zip(_NETWORK.values(), (tcp, udp, rtu_over_tcp), strict=True)
-        if address is not None
-    ]
+    given = _given_stamped(devices, stamped)
+    _check_modules(devices, byte_order, is_plain=(pty or rtu_over_tcp or truth) is None)
+    endpoints = _network((tcp, udp, rtu_over_tcp), is_little_endian=byte_order == "little")
     if pty is not None:
         line = _line(devices, baud, turnaround or 0, usb_latency or 0)
         endpoints.append(PtyEndpoint(pty, line))
@@ -264,17 +273,44 @@ def simulate(
     with ExitStack() as files:
         served = []
         for wanted in devices:
-            file = None
+            own = {_STAMPED: given, _MSX: {"byte_order": byte_order or "big"}}
+            arguments: dict[str, Any] = {"seed": seed, **own.get(wanted.profile, {})}
             if truth is not None:
                 name = truth if len(devices) == 1 else _with_unit(truth, wanted.unit)
-                file = files.enter_context(name.open("w", encoding="utf-8"))
-            more = given if wanted.profile == _STAMPED else {}
-            served.append(_made(wanted, seed=seed, truth=file, **more))
-        asyncio.run(
-            _serve(SimulatorServer(served, endpoint, speed=speed), endpoint, devices, speed)
-        )
+                arguments["truth"] = files.enter_context(name.open("w", encoding="utf-8"))
+            served.append(_made(wanted, **arguments))
+        server = SimulatorServer(served, endpoint, speed=speed)
+        asyncio.run(_serve(server, endpoint, devices, speed))
     if is_timed and isinstance(endpoint, PtyEndpoint):
         click.echo(f"line: {endpoint.statistics}", err=True)
+
+
+def _given_stamped(devices: tuple[Wanted, ...], stamped: dict[str, Any]) -> dict[str, Any]:
+    given = {name: value for name, value in stamped.items() if value is not None}
+    if given and all(wanted.profile != _STAMPED for wanted in devices):
+        text = f"--rate, --clock-offset, --clock-drift and --quirk are for {_STAMPED} only"
+        raise click.UsageError(text)
+    return given
+
+
+def _network(
+    addresses: tuple[tuple[str, int] | None, ...], *, is_little_endian: bool
+) -> list[Endpoint]:
+    """In the order of ``_NETWORK``."""
+    return [
+        kind(*address, is_little_endian=is_little_endian)
+        for kind, address in zip(_NETWORK.values(), addresses, strict=True)
+        if address is not None
+    ]
+
+
+def _check_modules(devices: tuple[Wanted, ...], byte_order: str | None, *, is_plain: bool) -> None:
+    """is_plain: no line, no gateway, no truth."""
+    modules = [wanted for wanted in devices if wanted.profile == _MSX]
+    if byte_order is not None and len(modules) < len(devices):
+        raise click.UsageError(f"--byte-order is for {_MSX} only")
+    if modules and not is_plain:
+        raise click.UsageError(f"{_MSX} is served with --tcp or --udp, and without --truth")
 
 
 def _made(wanted: Wanted, **arguments: Any) -> SimulatedDevice:

@@ -28,6 +28,7 @@ _LINK_PERIOD: Final = 60 * 10**9
 _PATIENCE: Final = 3
 """Failures in a row that are not yet held against a device that has answered before."""
 _FACTS_PAUSE: Final = 60 * 10**9
+_FACTS_POSTPONED: Final = 3
 _LONGEST_PAUSE: Final = 30 * 10**9
 _ABSENT: Final = 60 * 10**9
 """After this long without an answer another device may stand there: the facts are read again."""
@@ -68,6 +69,7 @@ class PolledDevice:
         self._facts_due = True
         self._facts_after = 0
         self._facts_failures = 0
+        self._facts_postponed = 0
         self._are_calls = device.profile.dialect.has_functions
         self._trouble = ""
         self._failures = 0
@@ -155,7 +157,7 @@ class PolledDevice:
         """One attempt; a device that does not answer costs one time-out."""
         self._tally.polls += 1
         try:
-            if self._facts_due and self._now() >= self._facts_after:
+            if self._facts_due and self._now() >= self._facts_after and not self._gives_way():
                 await self._read_facts()
             await poller.turn(due)
         except DeviceError as error:
@@ -165,6 +167,11 @@ class PolledDevice:
         if self._flagged is not None and self._flagged.powered_up:
             self._flagged.powered_up = False
             self._facts_due = True
+
+    def _gives_way(self) -> bool:
+        """At the start all want their facts: where others wait, they wait for a few polls."""
+        self._facts_postponed += 1
+        return self._bus.has_queue and self._facts_postponed <= _FACTS_POSTPONED
 
     async def _read_facts(self) -> None:
         """Identity and configuration; after a failure the next poll goes without them.
@@ -185,6 +192,7 @@ class PolledDevice:
                 why = await described(refusal, unit, self._bus, self._tally, dialect)
                 self.outbox.event("warning", "facts", f"{block.name} block: {why}")
         self._facts_due = False
+        self._facts_postponed = 0
         self._facts_failures = 0
         self._facts_after = self._facts_after if self._are_calls else 0
         self._set_cycle()

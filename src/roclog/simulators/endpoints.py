@@ -62,13 +62,15 @@ class NetworkEndpoint(ABC):
     """Devices on `host` and `port`.
 
     Port 0 takes a free one; `port` tells which while the endpoint is open.
+    `is_little_endian`: the fields of the MBAP header are; PDUs are the devices' own affair.
     """
 
     is_gateway: bool
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, *, is_little_endian: bool = False) -> None:
         self.host = host
         self.port = port
+        self.is_little_endian = is_little_endian
         self._server: ModbusTcpServer | ModbusUdpServer | None = None
 
     @abstractmethod
@@ -96,7 +98,10 @@ class TcpEndpoint(NetworkEndpoint):
 
     def _new_server(self) -> ModbusTcpServer:
         address = self.host, self.port
-        return ModbusTcpServer(_unused_device(), address=address, ignore_missing_devices=True)
+        server = ModbusTcpServer(_unused_device(), address=address, ignore_missing_devices=True)
+        if self.is_little_endian:
+            server.framer = _LittleEndianFramer
+        return server
 
 
 class UdpEndpoint(NetworkEndpoint):
@@ -110,7 +115,7 @@ class UdpEndpoint(NetworkEndpoint):
     def _new_server(self) -> ModbusUdpServer:
         address = self.host, self.port
         server = ModbusUdpServer(_unused_device(), address=address, ignore_missing_devices=True)
-        server.framer = _DatagramFramer
+        server.framer = _LittleEndianDatagram if self.is_little_endian else _DatagramFramer
         return server
 
 
@@ -266,6 +271,25 @@ class _DatagramFramer(FramerSocket):
         if size != len(data):
             return len(data), 0, 0, self.EMPTY
         return size, unit, transaction, pdu
+
+
+class _LittleEndianFramer(FramerSocket):
+    """Turns the three words of the MBAP header round."""
+
+    def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
+        return super().decode(_turned(data))
+
+    def encode(self, payload: bytes, device_id: int, tid: int) -> bytes:
+        return _turned(super().encode(payload, device_id, tid))
+
+
+class _LittleEndianDatagram(_LittleEndianFramer, _DatagramFramer):
+    """Both."""
+
+
+def _turned(frame: bytes) -> bytes:
+    words = (frame[at : at + 2][::-1] for at in (0, 2, 4))
+    return b"".join(words) + frame[6:]
 
 
 def _request_size(data: bytes, start: int) -> int | None:

@@ -31,6 +31,8 @@ MEI: Final = {
     (4, "discrete_inputs"): 0x92,
     (4, "input_registers"): 0x94,
 }
+_ARRIVED: Final = ("ok", "late", "garbage")
+"""What may have become of an answer that the recorder took."""
 SPLIT: Final = {0x82: 9, 0x84: 12, 0x92: 5, 0x94: 8}
 """Requests that read 300 inputs: 34, 27, 60 and 41 fit one answer."""
 
@@ -59,12 +61,14 @@ class Mei:
         self.child.stop()
         return self.truth
 
-    def toml(self, poll: str, *, layout: str = "interleaved", zone: str = "UTC") -> str:
-        """One device for each size of stamps, both on the same unit."""
+    def toml(
+        self, poll: str, *, layout: str = "interleaved", zone: str = "UTC", connection: str = ""
+    ) -> str:
+        """One device for each size of stamps, both on the same unit; connection: further lines."""
         where = f'transport = "rtu"\nport = "{self.address}"\nsilence = "2ms"\nbaudrate = 115200'
         if self.line == "tcp":
             where = f'transport = "tcp"\nhost = "127.0.0.1"\nport = {self.address}'
-        return f"[connections.line]\n{where}\n" + "".join(
+        return f"[connections.line]\n{where}\n{connection}\n" + "".join(
             f'[devices.rtu{size}]\nprofile = "mei-timestamped"\nconnection = "line"\n'
             f'poll = "{poll}"\ntimezone = "{zone}"\npoints = [\n'
             f'  {{ kind = "discrete_inputs", stamp = {size}, address = 0, count = 300 }},\n'
@@ -109,29 +113,29 @@ def judge(
     if not out.exists():
         export(directory, out)
     return {
-        (size, table): _Judge(directory, out, truth, size, table, offset).judge()
-        for size, table in MEI
+        key: _Judge(key, gaps(directory, f"rtu{key[0]}"), out, truth, offset).judge() for key in MEI
     }
 
 
 class _Judge:
     def __init__(
-        self, directory: Path, out: Path, truth: Truth, size: int, table: str, offset: float
+        self, key: tuple[int, str], told: list[Gap], out: Path, truth: Truth, offset: float
     ) -> None:
+        size, table = key
         self._size = size
         self._offset = int(offset * 1e9)
         self._rows = read_csv(out / f"rtu{size}.{table}.csv")
         self._states = {line["n"]: line for line in truth.of("state") if line["table"] == table}
-        self._answers = [
-            line for line in truth.of("answer") if line["mei"] == MEI[size, table] and _sent(line)
-        ]
-        self._gaps = gaps(directory, f"rtu{size}")
+        answers = [line for line in truth.of("answer") if line["mei"] == MEI[size, table]]
+        self._answers = [line for line in answers if line["fate"] == "ok"]
+        self._arrived = [line for line in answers if line["fate"] in _ARRIVED]
+        self._gaps = told
         self._found = Judgement(rows=len(self._rows), states=len(self._states))
 
     def judge(self) -> Judgement:
         found = self._found
         kept = self._match()
-        told = {n for line in self._answers for n in line["states"]}
+        told = {n for line in self._arrived for n in line["states"]}
         due = self._due()
         found.told, found.due = len(told), len(due)
         counts = Counter(kept.values())
@@ -196,17 +200,15 @@ class _Judge:
                 self._found.violations.append(f"nothing says that {state} may be missing")
 
     def _covered(self, state: Line, row: Row) -> bool:
-        at = state["wall_ns"]
+        if row["change"] == "baseline":  # nobody had looked before
+            return True
+        at: int = state["wall_ns"]
         if row["previous_read_at"]:
             return nanoseconds(row["previous_read_at"]) <= at <= nanoseconds(row["log_time"])
         return any(_contains(gap, at) for gap in self._gaps)
 
     def _blame(self, what: str, numbers: Any) -> None:
         self._found.violations += [f"{what}: {self._states.get(n, n)}" for n in sorted(numbers)]
-
-
-def _sent(line: Line) -> bool:
-    return bool(line["fate"] == "ok")
 
 
 def _contains(gap: Gap, at: int) -> bool:
