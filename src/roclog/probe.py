@@ -10,15 +10,20 @@ from roclog.bus.tally import Tally
 from roclog.connect import make_bus
 from roclog.decode import Decoded, decode
 from roclog.errors import DeviceError, ExceptionAnswer
+from roclog.modbus.stamped import Layout, parse, split
 from roclog.polling.refusal import described
-from roclog.polling.request_plan import read_request
+from roclog.polling.stamped_table import oldest_baseline, stamp_decoder
+from roclog.register_map import ClearOnRead
+from roclog.request_plan import read_request
 from roclog.word_types import block_words
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
     from roclog.clock import Clock
     from roclog.config.settings import Device, Settings
-    from roclog.register_map import Block
+    from roclog.modbus.request import ReadStamped
+    from roclog.register_map import Block, StampedInputs, Table
+    from roclog.stamps import Stamp
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +45,20 @@ class ProbeResult:
     text: str
 
 
+@dataclass(frozen=True, slots=True)
+class StampedRead:
+    """The inputs of one request with their stamps, or why they could not be read.
+
+    inputs: (address, value, stamp). first, last: addresses that were asked for.
+    """
+
+    table: Table
+    first: int
+    last: int
+    inputs: tuple[tuple[int, int, Stamp], ...]
+    problem: str = ""
+
+
 async def read_device(settings: Settings, name: str, clock: Clock) -> list[BlockRead]:
     """Every block of one device, each read once. Never writes. Does not raise DeviceError."""
     device = settings.devices[name]
@@ -48,6 +67,44 @@ async def read_device(settings: Settings, name: str, clock: Clock) -> list[Block
         return [await _read(bus, device, block) for block in device.profile.blocks]
     finally:
         bus.close()
+
+
+async def read_stamped(settings: Settings, name: str, clock: Clock) -> list[StampedRead]:
+    """Every list of stamped inputs of one device, read once. Does not raise DeviceError.
+
+    Where the layout is left to the device it is taken as interleaved; `record` finds it out.
+    """
+    device = settings.devices[name]
+    bus = make_bus(settings.connections[device.connection], [], clock)
+    try:
+        return [
+            await _read_stamped(bus, device, inputs, request)
+            for inputs in device.profile.stamped
+            for request in split(inputs.mei, inputs.address, inputs.count)
+        ]
+    finally:
+        bus.close()
+
+
+async def _read_stamped(
+    bus: Bus, device: Device, inputs: StampedInputs, request: ReadStamped
+) -> StampedRead:
+    place = inputs.table, request.address, request.address + request.count - 1
+    try:
+        answer = await bus.transact(device.unit, request, Tally())
+    except DeviceError as error:
+        return StampedRead(*place, (), str(error))
+    decoder = stamp_decoder(device.profile.stamp_rules)
+    since = oldest_baseline(answer.read.utc)
+    found = tuple(
+        (
+            point.address,
+            point.value,
+            decoder.decode(point.stamp, read_at=answer.read.utc, changed_after=since),
+        )
+        for point in parse(request, answer.pdu, inputs.layout or Layout.INTERLEAVED).points
+    )
+    return StampedRead(*place, found)
 
 
 async def probe(settings: Settings, clock: Clock) -> list[ProbeResult]:
@@ -65,21 +122,31 @@ async def _probe_connection(
     settings: Settings, name: str, devices: list[Device], clock: Clock
 ) -> list[ProbeResult]:
     bus = make_bus(settings.connections[name], [], clock)
-    results = []
     try:
-        for device in devices:
-            read = await _read(bus, device, device.profile.blocks[0])
-            if read.decoded is None:
-                results.append(ProbeResult(device.name, ok=False, text=read.problem))
-            else:
-                texts = [v.strip() for v in read.decoded.values if isinstance(v, str) and v.strip()]
-                results.append(ProbeResult(device.name, ok=True, text=", ".join(texts)))
+        return [await _probe_device(bus, device) for device in devices]
     finally:
         bus.close()
-    return results
+
+
+async def _probe_device(bus: Bus, device: Device) -> ProbeResult:
+    """Ask for the first block, or where there is none for the first stamped inputs."""
+    harmless = [b for b in device.profile.blocks if not isinstance(b.trigger, ClearOnRead)]
+    if harmless:
+        read = await _read(bus, device, harmless[0])
+        texts = [] if read.decoded is None else [v for v in read.decoded.values if v]
+        said = [v.strip() for v in texts if isinstance(v, str) and v.strip()]
+        ok, text = read.decoded is not None, read.problem or ", ".join(said)
+        return ProbeResult(device.name, ok=ok, text=text)
+    for inputs in device.profile.stamped[:1]:
+        request = split(inputs.mei, inputs.address, inputs.count)[0]
+        stamped = await _read_stamped(bus, device, inputs, request)
+        return ProbeResult(device.name, ok=not stamped.problem, text=stamped.problem)
+    return ProbeResult(device.name, ok=False, text="nothing can be read without clearing it")
 
 
 async def _read(bus: Bus, device: Device, block: Block) -> BlockRead:
+    if isinstance(block.trigger, ClearOnRead):
+        return BlockRead(block, (), None, "not read, since a read clears it: only `record` does")
     request, dialect = read_request(block, device.profile.dialect), device.profile.dialect
     try:
         answer = await bus.transact(device.unit, request, Tally())

@@ -49,6 +49,11 @@ class TimeFlag(IntFlag):
     """The zone shows this time twice, and the summer time bit is the same both times."""
 
 
+def flag_words(flags: TimeFlag) -> str:
+    """The names of the flags that are set, in lower case."""
+    return " ".join(str(flag.name).lower() for flag in TimeFlag if flag in flags)
+
+
 _SPOILT: Final = int(
     TimeFlag.NO_TIME
     | TimeFlag.DATE_INVALID

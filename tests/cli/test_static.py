@@ -617,3 +617,31 @@ def test_simulate_writes_the_truth(tmp_path: Path) -> None:
         time.sleep(0.05)
     assert simulation.stop(signal.SIGTERM) == (0, "")
     assert not truth.exists()
+
+
+STAMPED = """
+[devices.rtu7]
+profile = "mei-timestamped"
+connection = "bus"
+points = [
+  { kind = "discrete_inputs", stamp = 7, address = 196, count = 22 },
+  { kind = "input_registers", stamp = 4, address = 8, count = 2 },
+]
+"""
+
+
+def test_stamped_inputs_are_probed_and_read(tmp_path: Path, config: Path) -> None:
+    simulation = Simulation("mei-timestamped", "--pty", tmp_path / "line")
+    config.write_text(RTU.replace("/dev/ttyS9", "line") + STAMPED)
+    probed = invoke("check", config, "--probe")
+    shown = invoke("read", config, "rtu7")
+    data = json.loads(invoke("read", config, "rtu7", "--json").stdout)
+    assert simulation.stop(signal.SIGINT) == (0, "")
+    assert probed.exit_code == 0
+    # Two requests of 9 characters, answers of 3 + 5 + 3 + 22 * 7 and 3 + 3 + 2 * 6; 10 bits each.
+    assert "request 18.75ms" in probed.stdout
+    assert "answer 190.63ms" in probed.stdout
+    assert shown.exit_code == 0
+    assert "Discrete inputs 196 to 217" in shown.stdout
+    assert [len(read["inputs"]) for read in data["stamped"]] == [22, 2]
+    assert all(point["device_time"] for read in data["stamped"] for point in read["inputs"])

@@ -13,10 +13,11 @@ from rich.table import Table
 
 from roclog.errors import DeviceError
 from roclog.quantities import format_instant
+from roclog.time_flags import flag_words
 
 if TYPE_CHECKING:
     from roclog.decode import Value
-    from roclog.probe import BlockRead
+    from roclog.probe import BlockRead, StampedRead
     from roclog.register_map import Point
 
 
@@ -33,20 +34,24 @@ def read(config: Path, device: str, *, as_json: bool) -> None:
     """
     from roclog.clock import SystemClock  # noqa: PLC0415
     from roclog.config import load  # noqa: PLC0415
-    from roclog.probe import read_device  # noqa: PLC0415
+    from roclog.probe import read_device, read_stamped  # noqa: PLC0415
 
     settings = load(config)
     if device not in settings.devices:
         known = ", ".join(settings.devices)
         raise click.UsageError(f"{config} has no device {device!r}; it has {known}")
     blocks = asyncio.run(read_device(settings, device, SystemClock()))
+    lists = asyncio.run(read_stamped(settings, device, SystemClock()))
     if as_json:
-        click.echo(json.dumps(_as_object(device, blocks)))
+        click.echo(json.dumps(_as_object(device, blocks, lists)))
     else:
         for block in blocks:
             _print_block(block)
-    if all(block.decoded is None for block in blocks):
-        raise DeviceError(f"{device}: {blocks[0].problem}")
+        for inputs in lists:
+            _print_inputs(inputs)
+    problems = [block.problem for block in blocks] + [inputs.problem for inputs in lists]
+    if all(problems):
+        raise DeviceError(f"{device}: {problems[0]}")
 
 
 def _print_block(read: BlockRead) -> None:
@@ -75,6 +80,23 @@ def _print_block(read: BlockRead) -> None:
     console.print()
 
 
+def _print_inputs(read: StampedRead) -> None:
+    console = Console(soft_wrap=True)
+    title = f"{read.table.replace('_', ' ').capitalize()} {read.first} to {read.last}, with stamps"
+    if read.problem:
+        console.print(f"{title}: {read.problem}\n", markup=False)
+        return
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for heading in ("address", "value", "changed at", "octets", ""):
+        table.add_column(heading, justify="right" if heading in {"address", "value"} else "left")
+    for address, value, stamp in read.inputs:
+        changed = format_instant(stamp.device_time) if stamp.device_time else "unknown"
+        row = (str(address), str(value), changed, stamp.octets.hex(" "), flag_words(stamp.flags))
+        table.add_row(*row)
+    console.print(table, markup=False)
+    console.print()
+
+
 def _remark(point: Point, values: dict[str, Value | None]) -> str:
     if values[point.name] is None:
         return "no measurement"
@@ -100,10 +122,29 @@ def _text(value: Value | None) -> str:
     return repr(value)
 
 
-def _as_object(device: str, blocks: list[BlockRead]) -> dict[str, object]:
+def _as_object(device: str, blocks: list[BlockRead], lists: list[StampedRead]) -> dict[str, object]:
     return {
         "schema": "roclog.read/1",
         "device": device,
+        "stamped": [
+            {
+                "table": read.table.value,
+                "first": read.first,
+                "last": read.last,
+                "problem": read.problem,
+                "inputs": [
+                    {
+                        "address": address,
+                        "value": value,
+                        "device_time": stamp.device_time or None,
+                        "time_flags": flag_words(stamp.flags).split(),
+                        "time_octets": stamp.octets.hex(),
+                    }
+                    for address, value, stamp in read.inputs
+                ],
+            }
+            for read in lists
+        ],
         "blocks": {
             read.block.name: {"values": _by_name(read), "registers": list(read.registers)}
             if read.decoded is not None

@@ -7,24 +7,26 @@ import os
 import re
 import stat
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from roclog.config.leaves import shown
 from roclog.errors import Problem
 from roclog.quantities import format_duration
+from roclog.request_plan import read_request, requests_by_period
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from roclog.config.settings import Connection, Device, Settings
+    from roclog.modbus.request import Request
     from roclog.register_map import RegisterMap
 
 TURNAROUND: Final = 10_000_000
 """Nanoseconds that a device typically takes between request and answer."""
-_REQUEST: Final = 8
-_ANSWER_FRAME: Final = 5
-"""Characters of a read request, and of an answer around its registers."""
+_FRAME: Final = 3
+"""Characters around a PDU on a serial line: unit and checksum."""
 _BY_ID: Final = Path("/dev/serial/by-id")
 _NUMBERED: Final = re.compile(r"/dev/tty(USB|ACM)\d+")
 """Names that the system gives out in the order of plugging in."""
@@ -74,25 +76,26 @@ def bus_loads(settings: Settings) -> list[BusLoad]:
     loads: list[BusLoad] = []
     for connection in settings.connections.values():
         shares = tuple(
-            _share(device, connection)
+            _share(device.name, period, requests, connection)
             for device in settings.devices.values()
             if device.connection == connection.name
+            for period, requests in requests_by_period(device.profile, device.poll).items()
         )
         if shares and connection.is_serial:
             loads.append(BusLoad(connection.name, shares))
     return loads
 
 
-def _share(device: Device, connection: Connection) -> Share:
-    blocks = device.profile.samples
-    words = sum(block.count for block in blocks)
+def _share(device: str, period: int, requests: list[Request], connection: Connection) -> Share:
+    asked = sum(_FRAME + len(request.pdu) for request in requests)
+    answered = sum(_FRAME + request.answer_size for request in requests)
     return Share(
-        device=device.name,
-        poll=device.poll,
-        request=len(blocks) * _REQUEST * connection.character,
-        turnaround=len(blocks) * TURNAROUND,
-        answer=(len(blocks) * _ANSWER_FRAME + 2 * words) * connection.character,
-        silence=len(blocks) * connection.silence,
+        device=device,
+        poll=period,
+        request=asked * connection.character,
+        turnaround=len(requests) * TURNAROUND,
+        answer=answered * connection.character,
+        silence=len(requests) * connection.silence,
     )
 
 
@@ -167,7 +170,10 @@ def _name_that_stays(port: str) -> str | None:
 
 
 def _longest_answer(profile: RegisterMap) -> int:
-    return _ANSWER_FRAME + 2 * max(block.count for block in profile.blocks)
+    """Characters of a frame."""
+    on_schedule = chain(*requests_by_period(profile, 1).values())
+    requests = [*on_schedule, *(read_request(block) for block in profile.facts)]
+    return _FRAME + max((request.answer_size for request in requests), default=0)
 
 
 def _poll_warnings(device: Device) -> Iterator[str]:

@@ -24,7 +24,7 @@ def register_map(lists: Iterable[StampedInputs], rules: StampRules) -> RegisterM
         source="A technique for implementation of Time Stamping of Data using the MODBUS "
         "Encapsulated Interface Transport",
         unit=1,
-        serial=SerialDefaults(baudrate=9600),
+        serial=SerialDefaults(baudrate=9600, is_documented=False),
         answer_limit=500_000_000,
         samples=(),
         stamped=tuple(lists),

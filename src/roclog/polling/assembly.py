@@ -16,11 +16,10 @@ from roclog.polling.clock_watch import ClockWatch
 from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
 from roclog.polling.device import PolledDevice
 from roclog.polling.flagged_block import FlaggedBlock
-from roclog.polling.stamped_table import StampedTable
+from roclog.polling.stamped_table import StampedTable, stamp_decoder
 from roclog.register_map import FlagAndClear
 from roclog.samples import SampleMaker
 from roclog.stamped_messages import StampedMaker
-from roclog.stamps import StampDecoder, parse_zone
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
@@ -130,16 +129,13 @@ class Assembly:
         device = shared.device
         fresh = (0, ChangeMemory())
         epoch, (seq, memory), read_until = self._resume(device, table, _states, fresh)
-        rules = device.profile.stamp_rules
         return StampedTable(
             unit=device.unit,
             bus=shared.bus,
             tally=shared.tally,
             lists=[inputs for inputs in device.profile.stamped if inputs.table is table],
             maker=StampedMaker(device.name, device.profile.name, table, epoch, seq),
-            decoder=StampDecoder(
-                parse_zone(rules.zone), year_pivot=rules.year_pivot, lenient=rules.lenient
-            ),
+            decoder=stamp_decoder(device.profile.stamp_rules),
             memory=memory,
             clock=shared.clock_watch,
             outbox=self._outbox(device),

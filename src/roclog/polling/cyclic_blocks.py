@@ -8,8 +8,8 @@ from roclog.errors import ExceptionAnswer
 from roclog.modbus.dialect import STANDARD
 from roclog.modbus.request import ReadRegisters, words
 from roclog.polling.refusal import described
-from roclog.polling.request_plan import plan_requests
 from roclog.register_map import Counter
+from roclog.request_plan import plan_requests
 from roclog.samples import Reading
 from roclog.schema import Reason
 from roclog.triggers import Known, is_raised, judge
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from roclog.modbus.dialect import Dialect
     from roclog.outbox import Outbox
     from roclog.polling.clock_watch import ClockWatch
-    from roclog.polling.request_plan import Fetch
     from roclog.recording.entries import Entry
     from roclog.register_map import ClearOnRead
+    from roclog.request_plan import Fetch
     from roclog.samples import SampleMaker
     from roclog.triggers import Finding, Note
 

@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from roclog.decode import Value, decode, field_names
-from roclog.polling.request_plan import read_request
+from roclog.request_plan import read_request
 from roclog.word_types import block_words
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from roclog.errors import DeviceError, ExceptionAnswer
 from roclog.handshake import Memory, Note, Seen, Verdict, after_clear, judge
 from roclog.modbus.request import WriteRegister, words
 from roclog.polling.block_watch import BlockWatch
-from roclog.polling.request_plan import read_request
 from roclog.register_map import FlagAndClear
+from roclog.request_plan import read_request
 from roclog.samples import Reading, SampleMaker
 from roclog.schema import ClearResult, Reason
 

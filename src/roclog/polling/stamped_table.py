@@ -9,6 +9,7 @@ from roclog.clock import Instant
 from roclog.errors import ExceptionAnswer
 from roclog.modbus.stamped import Layout, LayoutProbe, parse, plausible_layout, split
 from roclog.schema import Reason
+from roclog.stamps import StampDecoder, parse_zone
 from roclog.stamps.decoder import TOLERANCE
 from roclog.time_flags import TimeFlag, is_trusted
 
@@ -21,9 +22,9 @@ if TYPE_CHECKING:
     from roclog.outbox import Outbox
     from roclog.polling.clock_watch import ClockWatch
     from roclog.recording.entries import Entry
-    from roclog.register_map import StampedInputs
+    from roclog.register_map import StampedInputs, StampRules
     from roclog.stamped_messages import StampedMaker
-    from roclog.stamps import Stamp, StampDecoder
+    from roclog.stamps import Stamp
 
 _DAY: Final = 86_400 * 10**9
 _PROBED_PAIRS: Final = 8
@@ -32,6 +33,16 @@ _ENOUGH: Final = 500
 list that is read for the first time has more."""
 _RESOLUTION: Final = 10**6
 """Nanoseconds: a stamp names the millisecond in which the event fell."""
+
+
+def oldest_baseline(read_at: int) -> int:
+    """UTC ns from which on a state is taken to be that was there at the first read."""
+    return read_at - _DAY + 2 * TOLERANCE
+
+
+def stamp_decoder(rules: StampRules) -> StampDecoder:
+    """For the stamps of a device with these rules."""
+    return StampDecoder(parse_zone(rules.zone), year_pivot=rules.year_pivot, lenient=rules.lenient)
 
 
 class _Piece:
@@ -77,6 +88,7 @@ class StampedTable:
         self._read_until = read_until
         self._waiting: dict[int, tuple[Entry, Change]] = {}
         self._refused: set[ReadStamped] = set()
+        self._spare_bits_told = False
         self._blind: tuple[int, int, Reason] | None = None
         self._unprobed = [inputs for inputs in lists if inputs.layout is None]
         self._pieces = [
@@ -135,6 +147,10 @@ class StampedTable:
                 stamp = stamp.marked(TimeFlag.LAYOUT_AMBIGUOUS)
             return stamp.device_time, int(stamp.flags)
 
+        if seen.spare_bits and not self._spare_bits_told:
+            self._spare_bits_told = True
+            text = f"{_named(piece.request)}: status bits behind the last input are set"
+            self.outbox.event("warning", "spare-bits", text)
         for point in seen.points:
             change = self._memory.judge(point.address, point.value, point.stamp, resolve)
             if change is not None:
@@ -144,7 +160,7 @@ class StampedTable:
     def _resolve(self, octets: bytes, kind: ChangeKind, since: int | None, read_at: int) -> Stamp:
         """A baseline without a date is taken for one of the last 24 hours, and is marked."""
         if kind is ChangeKind.BASELINE or since is None:
-            since = read_at - _DAY + 2 * TOLERANCE
+            since = oldest_baseline(read_at)
         return self._decoder.decode(octets, read_at=read_at, changed_after=since)
 
     def _record(self, change: Change, answer: Answer, since: int | None) -> None:

@@ -13,6 +13,7 @@ from roclog.modbus.bits import ReadBits
 from roclog.modbus.dialect import STANDARD
 from roclog.modbus.functions import ReadFunction
 from roclog.modbus.request import ReadRegisters
+from roclog.modbus.stamped import split
 from roclog.register_map import MAX_READ_REGISTERS, ClearOnRead
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     from roclog.modbus.dialect import Dialect
     from roclog.modbus.request import Request
-    from roclog.register_map import Block
+    from roclog.register_map import Block, RegisterMap
 
 _HEADER: Final = 2
 """Octets of an answer before its data: function and byte count."""
@@ -83,6 +84,28 @@ def _called(index: int, block: Block, dialect: Dialect) -> Fetch:
 def _is_whole(block: Block) -> bool:
     """Bits share octets, and so no request; a read that clears is asked for by name."""
     return block.atomic or block.table.has_bits or isinstance(block.trigger, ClearOnRead)
+
+
+def requests_by_period(profile: RegisterMap, poll: int) -> dict[int, list[Request]]:
+    """Everything that is read on schedule, by the nanoseconds from turn to turn.
+
+    poll: period of what has none of its own. A flag outside its block counts as if it were up.
+    """
+    blocks: dict[int, list[Block]] = {}
+    for block in profile.samples:
+        blocks.setdefault(block.period or poll, []).append(block)
+    found: dict[int, list[Request]] = {}
+    for period, group in blocks.items():
+        requests = found.setdefault(period, [])
+        for fetch in plan_requests(group, profile.dialect):
+            if fetch.gate is not None:
+                requests.append(
+                    ReadRegisters(fetch.gate.table.read_function, fetch.gate.address, 1)
+                )
+            requests.append(fetch.request)
+    for inputs in profile.stamped:
+        found.setdefault(poll, []).extend(split(inputs.mei, inputs.address, inputs.count))
+    return found
 
 
 def _whole(index: int, block: Block) -> Fetch:

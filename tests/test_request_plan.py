@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from roclog.modbus.dialect import MSX_E
 from roclog.modbus.functions import ReadFunction
 from roclog.modbus.request import ReadRegisters
-from roclog.polling.request_plan import plan_requests
 from roclog.register_map import Block, Table
+from roclog.request_plan import plan_requests
 
 if TYPE_CHECKING:
     from random import Random
