@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     )
     from roclog.recording.reader import Recording
     from roclog.recording.reader import open_recording as open  # noqa: A004
-    from roclog.recording.records import Clear, Event, Gap, Link, Sample
+    from roclog.recording.records import Clear, Event, Gap, Link, Offset, Sample
 
 __all__ = [
     "Clear",
@@ -32,6 +32,7 @@ __all__ = [
     "Event",
     "Gap",
     "Link",
+    "Offset",
     "Recording",
     "RegisterMapError",
     "RoclogError",
@@ -40,7 +41,7 @@ __all__ = [
     "open",
 ]
 
-_RECORDS = ("Clear", "Event", "Gap", "Link", "Sample")
+_RECORDS = ("Clear", "Event", "Gap", "Link", "Offset", "Sample")
 
 
 def __getattr__(name: str) -> object:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from roclog.quantities import format_instant
-from roclog.recording.records import Event, Gap, Sample
+from roclog.recording.records import Event, Gap, Offset, Sample
 
 if TYPE_CHECKING:
     from roclog.recording.reader import Recording
@@ -37,7 +37,7 @@ class Info:
     """The counts; what stands in the recording itself is not repeated here.
 
     gaps: records and expected samples, by device, reason and whether it is only possible.
-    events: by device, kind and level.
+    events: by device, kind and level. clocks: the latest offset of each device's clock.
     """
 
     recording: Recording
@@ -46,6 +46,7 @@ class Info:
     gaps: dict[tuple[str, str, bool], tuple[int, int]] = field(default_factory=dict)
     events: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     samples: Extent = field(default_factory=Extent)
+    clocks: dict[str, Offset] = field(default_factory=dict)
 
 
 def summarize(recording: Recording) -> Info:
@@ -69,6 +70,8 @@ def _count(info: Info, record: Record) -> None:
             key = (record.device, record.reason, record.possible)
             records, expected = info.gaps.get(key, (0, 0))
             info.gaps[key] = (records + 1, expected + record.expected)
+        case Offset():
+            info.clocks[record.device] = record
         case Event():
             info.events[record.device, record.kind, record.level] += 1
 
@@ -123,6 +126,10 @@ def as_object(info: Info) -> dict[str, object]:
                 "configuration": device.configuration,
             }
             for device in recording.devices.values()
+        },
+        "clocks": {
+            device: {"at": format_instant(clock.log_time), **clock.values}
+            for device, clock in sorted(info.clocks.items())
         },
         "events": [
             {"device": device, "kind": kind, "level": level, "count": count}

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from roclog.schema import Field
 
 _MESSAGE: Final = re.compile(r"[a-z][a-z0-9_]{0,95}")
-RESERVED_BLOCKS: Final = frozenset({"gap", "link", "clear"})
+RESERVED_BLOCKS: Final = frozenset({"gap", "link", "clear", "clock_offset"})
 """Channels that a device has beside its blocks."""
 _MAX_FIELDS: Final = 18_000
 """Protobuf keeps the numbers from 19000 on for itself."""
@@ -136,7 +136,13 @@ def _cycle_flaws(register_map: RegisterMap) -> Iterator[tuple[str, str]]:
 
 def _block_flaws(block: Block, *, is_fact: bool) -> Iterator[tuple[str, str]]:
     if not NAME.fullmatch(block.name) or block.name in RESERVED_BLOCKS:
-        yield "name", "name must be lower case letters, digits and _, and not gap, link or clear"
+        yield (
+            "name",
+            (
+                "name must be lower case letters, digits and _, and not one of "
+                + ", ".join(sorted(RESERVED_BLOCKS))
+            ),
+        )
     if block.message and not _MESSAGE.fullmatch(block.message):
         yield "message", f"message {block.message!r} must be lower case letters, digits and _"
     yield from _extent_flaws(block)

@@ -10,7 +10,7 @@ from roclog.cli import output
 
 if TYPE_CHECKING:
     from roclog.info import Info
-    from roclog.recording.records import Device
+    from roclog.recording.records import Device, Offset
 
 _SEGMENT: tuple[str, ...] = ("number", "state", "size", "records", "first", "last", "file")
 _CHANNEL: tuple[str, ...] = ("channel", "records", "first", "last", "message type")
@@ -82,6 +82,19 @@ def _print_devices(found: Info) -> None:
         names = dict.fromkeys(name for one in facts for name in one)
         rows = [(*name, *(one.get(name, "") for one in facts)) for name in names]
         output.print_table("devices", ("", "", *(device.name for device in shown)), rows)
+    rows = [
+        (device, *_clock(clock), output.instant(clock.log_time))
+        for device, clock in sorted(found.clocks.items())
+    ]
+    output.print_table("clocks", ("device", "ahead of the host by", "drift", "at"), rows)
+
+
+def _clock(clock: Offset) -> tuple[str, str]:
+    """Seconds, then ppm; where the drift is not known, nothing."""
+    values = clock.values
+    ahead = f"{values['offset']:+.3f} s, to {values['uncertainty']:.3f} s"
+    drift = f"{values['drift']:+.1f} ppm, to {values['drift_uncertainty']:.1f} ppm"
+    return ahead, "" if values["drift"] != values["drift"] else drift
 
 
 def _facts(device: Device) -> dict[tuple[str, str], str]:

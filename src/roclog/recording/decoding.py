@@ -12,10 +12,11 @@ from google.protobuf.descriptor import FieldDescriptor
 from roclog.decode import TimeFlag
 from roclog.recording.dedupe import digest
 from roclog.recording.protobuf import UndecodableError, nanoseconds
-from roclog.recording.records import Channel, Clear, Event, Gap, Link, Record, Sample
+from roclog.recording.records import Channel, Clear, Event, Gap, Link, Offset, Record, Sample
 from roclog.schema import (
     ANSWERED,
     CLEAR,
+    CLOCK_OFFSET,
     GAP,
     LINK,
     MISSING,
@@ -64,6 +65,7 @@ _KINDS: Final = {
     GAP.name: ("gap", _described(GAP.fields[:4])),
     CLEAR.name: ("clear", _described(CLEAR.fields[:7])),
     LINK.name: ("link", _described(LINK.fields[:2])),
+    CLOCK_OFFSET.name: ("offset", _described(CLOCK_OFFSET.fields)),
     "foxglove.Log": ("log", _LOG_FIELDS),
 }
 """The fields of the first version, so that files of every version are read."""
@@ -150,15 +152,15 @@ class ChannelDecoder:
         return kind
 
     def _decoder(self) -> Callable[[Message, Any], Record]:
-        match self.channel.kind:
-            case "gap":
-                return self._gap
-            case "clear":
-                return self._clear
-            case "link":
-                return self._link
-            case "log":
-                return self._event
+        others: dict[str, Callable[[Message, Any], Record]] = {
+            "gap": self._gap,
+            "clear": self._clear,
+            "link": self._link,
+            "offset": self._offset,
+            "log": self._event,
+        }
+        if self.channel.kind in others:
+            return others[self.channel.kind]
         if not self.has_key:
             return self._foreign
         self._names = self.channel.fields
@@ -266,6 +268,15 @@ class ChannelDecoder:
             start=start,
             end=end,
             values=values,
+        )
+
+    def _offset(self, message: Message, m: Any) -> Offset:
+        assert self._reader is not None
+        return Offset(
+            topic=self.channel.topic,
+            device=self.channel.device,
+            log_time=message.log_time,
+            values=self._reader.values(m),
         )
 
     def _event(self, message: Message, m: Any) -> Event:

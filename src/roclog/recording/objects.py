@@ -6,7 +6,7 @@ import json
 import math
 from typing import TYPE_CHECKING, Final
 
-from roclog.recording.records import Clear, Event, Gap, Link, Record, Sample
+from roclog.recording.records import Clear, Event, Gap, Link, Offset, Record, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,7 +24,7 @@ def kind_of(record: Record) -> str:
 def fields_of(record: Record) -> Mapping[str, object]:
     """The fields of the message by the names they have in the file; of a sample its values."""
     match record:
-        case Sample() | Link():
+        case Sample() | Link() | Offset():
             between = {"from": record.start, "to": record.end} if isinstance(record, Link) else {}
             return between | record.values
         case Gap():

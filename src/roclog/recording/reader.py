@@ -171,7 +171,7 @@ class Recording:
     ) -> Iterator[Record]:
         """All kinds of records in recording order; arguments as for ``samples``.
 
-        kinds: only of channels of these kinds ("sample", "gap", "clear", "link", "log").
+        kinds: only of channels of these kinds ("sample", "gap", "clear", "link", "offset", "log").
         """
         parts = self.by_segment(channel, device=device, start=start, end=end, kinds=kinds)
         return chain.from_iterable(records for _, records in parts)

@@ -102,6 +102,20 @@ class Link:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Offset:
+    """How far a device's clock was from the host's.
+
+    ``values``: offset, device less host, and uncertainty in seconds; drift and drift_uncertainty in
+    ppm, NaN where they are not known.
+    """
+
+    topic: str
+    device: str
+    log_time: int
+    values: dict[str, Value]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
     """Something worth telling. ``device`` is empty where the event is about the whole logger."""
 
@@ -120,14 +134,14 @@ class Event:
         return f"{self.device}.{self.kind}" if self.device else self.kind
 
 
-Record = Sample | Gap | Clear | Link | Event
+Record = Sample | Gap | Clear | Link | Offset | Event
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Channel:
     """One topic.
 
-    kind: "sample", "gap", "clear", "link" or "log".
+    kind: "sample", "gap", "clear", "link", "offset" or "log".
     fields: names of the values in order. units: UCUM, by field name, where there is one.
     flagged: its samples are taken when the device raises a flag.
     problem: why its messages cannot be decoded; empty where they can.
