@@ -14,7 +14,16 @@ from google.protobuf import descriptor_pb2
 
 from roclog.config import json_schema
 from roclog.devices import PROFILES
-from roclog.schema import CLEAR, GAP, LINK, MessageType, sample_type
+from roclog.register_map import Table
+from roclog.schema import (
+    CLEAR,
+    CLOCK_OFFSET,
+    GAP,
+    LINK,
+    MessageType,
+    sample_type,
+    stamped_type,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,7 +43,9 @@ def files() -> dict[str, str]:
 
 
 def _message_types() -> Iterator[MessageType]:
-    yield from (GAP, CLEAR, LINK)
+    yield from (GAP, CLEAR, LINK, CLOCK_OFFSET)
+    for table in (Table.DISCRETE_INPUTS, Table.INPUT_REGISTERS):
+        yield stamped_type("mei-timestamped", table, 7)
     for profile in PROFILES.values():
         for block in profile.samples:
             yield sample_type(profile.name, block)
@@ -48,14 +59,23 @@ def proto_text(kind: MessageType) -> str:
     lines = [f'syntax = "{file.syntax}";', "", f"package {file.package};", ""]
     lines.append(f"message {message.name} {{")
     for enum in message.enum_type:
-        lines.append(f"  enum {enum.name} {{")
-        lines += [f"    {value.name} = {value.number};" for value in enum.value]
+        lines += [*_enum_text(enum, "  "), ""]
+    for scope in message.nested_type:
+        lines.append(f"  message {scope.name} {{")
+        for enum in scope.enum_type:
+            lines += _enum_text(enum, "    ")
         lines += ["  }", ""]
     comments = {field.name: _comment(field.unit, field.size) for field in kind.fields}
     for field in message.field:
-        keyword = field.type_name.rpartition(".")[2] or _KEYWORDS[field.type]
+        own = f".{file.package}.{message.name}."
+        keyword = field.type_name.removeprefix(own) or _KEYWORDS[field.type]
         lines.append(f"  {keyword} {field.name} = {field.number};{comments[field.name]}")
     return "\n".join([*lines, "}", ""])
+
+
+def _enum_text(enum: descriptor_pb2.EnumDescriptorProto, indent: str) -> list[str]:
+    values = [f"{indent}  {value.name} = {value.number};" for value in enum.value]
+    return [f"{indent}enum {enum.name} {{", *values, f"{indent}}}"]
 
 
 def _comment(unit: str, octets: int) -> str:

@@ -17,7 +17,8 @@ from roclog.config import json_schema
 from roclog.config.profiles import TABLES
 from roclog.config.tables import Rtu, RtuOverTcp, Tcp, Udp
 from roclog.devices import PROFILES
-from roclog.schema import CLEAR, GAP, LINK, sample_type
+from roclog.register_map import Table
+from roclog.schema import CLEAR, CLOCK_OFFSET, GAP, LINK, sample_type, stamped_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,11 +54,12 @@ def test_schema_has_the_keys_of_the_tables() -> None:
 
 
 def test_proto_texts_say_what_the_descriptors_say() -> None:
-    kinds = [GAP, CLEAR, LINK]
+    kinds = [GAP, CLEAR, LINK, CLOCK_OFFSET]
+    kinds += [stamped_type("mei-timestamped", Table.DISCRETE_INPUTS, 7)]
     kinds += [sample_type(p.name, block) for p in PROFILES.values() for block in p.samples]
     for kind in kinds:
         text = (DIRECTORY / f"{kind.name}.proto").read_text()
-        found = re.findall(r"^  (\w+) (\w+) = (\d+);", text, re.MULTILINE)
+        found = re.findall(r"^  ([\w.]+) (\w+) = (\d+);", text, re.MULTILINE)
         described = descriptor_pb2.FileDescriptorSet.FromString(kind.descriptor_set).file[0]
         fields = described.message_type[0].field
         assert [(name, int(number)) for _, name, number in found] == [
