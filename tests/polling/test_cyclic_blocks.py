@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +18,8 @@ from roclog.errors import NoAnswer, StorageError
 from roclog.outbox import CommitGroup, Outbox
 from roclog.polling.clock_watch import ClockWatch
 from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
-from roclog.register_map import Block, Point, Table, WordOrder, WordType
+from roclog.register_map import Block, Change, Point, Table, WordOrder, WordType
+from roclog.request_plan import read_request
 from roclog.samples import SampleMaker
 from roclog.schema import GAP, Origin, Reason, read_signature
 from roclog.triggers import Known
@@ -225,6 +227,26 @@ def test_a_full_disk_costs_nothing_until_a_thousand_wait_then_says_how_many() ->
         assert len(numbers) == len(set(numbers))
         assert numbers == sorted(numbers)
         assert len(numbers) + sum(lost) == blocks.samples == 1012
+
+    run(main())
+
+
+def test_a_run_without_a_sample_leaves_what_the_trigger_compares_with() -> None:
+    """Else the run after it would take the unchanged block for news."""
+
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        disk = Disk()
+        changing = dataclasses.replace(block("a", 100, 1), trigger=Change())
+        maker = SampleMaker("flow", "registers", changing, WordOrder.ABCD, b"e" * 16)
+        outbox = Outbox("flow", disk, VirtualClock(), CommitGroup(disk))
+        answer = await bus.transact(UNIT, read_request(changing), Tally())
+        one = CyclicBlock(maker, SECOND, maker.known(7, answer.pdu[2:]), 0, answer.pdu[2:])
+        assert one.take(answer.pdu[2:], answer, answer.asked, outbox) is None
+        one.close(outbox)
+        carried = disk.carried["/flow/a"]
+        assert (carried["seq"], carried["raw"]) == (7, "0064")
 
     run(main())
 

@@ -113,7 +113,7 @@ class Assembly:
         for block in blocks:
             epoch, last, read_until = self._resume(device, block.name, _last_sample, (0, b""))
             maker = SampleMaker(device.name, device.profile.name, block, device.word_order, epoch)
-            members.append(CyclicBlock(maker, period, maker.known(*last), read_until))
+            members.append(CyclicBlock(maker, period, maker.known(*last), read_until, last[1]))
         return CyclicBlocks(
             unit=device.unit,
             bus=shared.bus,

@@ -33,19 +33,25 @@ if TYPE_CHECKING:
 class CyclicBlock:
     """Judges the reads of one block, numbers its samples and counts what was missed between them.
 
-    period: nanoseconds between reads. known: what earlier runs leave.
+    period: nanoseconds between reads. known: what earlier runs leave; raw: octets of their last
+    sample, where a trigger compares with it.
     read_until: UTC ns at which an earlier run last read the block, 0 = never.
     """
 
     def __init__(
-        self, maker: SampleMaker, period: int, known: Known | None = None, read_until: int = 0
+        self,
+        maker: SampleMaker,
+        period: int,
+        known: Known | None = None,
+        read_until: int = 0,
+        raw: bytes = b"",
     ) -> None:
         self.maker = maker
         self._period = period
         self._known = known or Known()
         self._read_until = read_until
         self._last: Instant | None = None
-        self._raw = b""
+        self._raw = raw
         self._told: Note | None = None
 
     @property
