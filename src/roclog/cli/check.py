@@ -184,11 +184,13 @@ def _connection(connection: Connection) -> str:
 
 
 def _device(device: Device) -> str:
-    cycle = "as the device says" if device.cycle is None else format_duration(device.cycle)
+    said = "as the device says" if device.cycle is None else format_duration(device.cycle)
+    cycle = f"cycle {said}, " if device.profile.flagged is not None else ""
+    order = f"{device.word_order}, " if device.profile.samples else ""
     clears = "clears its flag" if device.clears else "never writes"
     return (
         f"{device.name}: {device.profile.name}, unit {device.unit} on {device.connection}, "
-        f"poll {format_duration(device.poll)}, cycle {cycle}, {device.word_order}, {clears}"
+        f"poll {format_duration(device.poll)}, {cycle}{order}{clears}"
     )
 
 
