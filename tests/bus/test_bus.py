@@ -35,6 +35,19 @@ from roclog.modbus.request import ReadRegisters, words
 from roclog.modbus.rtu import Echo
 
 
+def test_a_line_that_babbles_between_polls_costs_no_memory() -> None:
+    async def main() -> None:
+        link, bus = make()
+        device(link)
+        await bus.transact(UNIT, READ, Tally())
+        kept = len(bus._heard)
+        for _ in range(1000):
+            link._say(b"\x55")
+        assert len(bus._heard) == kept
+
+    run(main())
+
+
 def test_one_transaction_at_a_time() -> None:
     async def main() -> None:
         link, bus = make()

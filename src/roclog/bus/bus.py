@@ -314,13 +314,13 @@ class Bus:
     def _receive(self, octets: bytes) -> None:
         now = self._clock.now()
         self._quiet_since = max(self._quiet_since, now.monotonic)
-        self._heard.append((self._octets, now))
-        self._octets += len(octets)
+        before, self._octets = self._octets, self._octets + len(octets)
         exchange, waiter = self._exchange, self._waiter
         try:
             if exchange is None or waiter is None or waiter.done():
                 self._discard(octets)
                 return
+            self._heard.append((before, now))
             pdu = exchange.feed(octets)
         except LinkDown as error:
             self._give_up(str(error))

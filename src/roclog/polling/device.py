@@ -158,7 +158,7 @@ class PolledDevice:
         self._tally.polls += 1
         try:
             if self._facts_due and self._now() >= self._facts_after and not self._gives_way():
-                await self._read_facts()
+                await self._read_facts(due)
             await poller.turn(due)
         except DeviceError as error:
             self._tell_trouble(error)
@@ -173,7 +173,7 @@ class PolledDevice:
         self._facts_postponed += 1
         return self._bus.has_queue and self._facts_postponed <= _FACTS_POSTPONED
 
-    async def _read_facts(self) -> None:
+    async def _read_facts(self, due: int) -> None:
         """Identity and configuration; after a failure the next poll goes without them.
 
         A device that answers samples but not these is asked for them once a minute; where reading
@@ -185,7 +185,7 @@ class PolledDevice:
         self._facts_after = self._now() + int(pause)
         for block in self.device.profile.facts:
             try:
-                found = await read_facts(block, self.device, self._bus, self._tally)
+                found = await read_facts(block, self.device, self._bus, self._tally, due)
                 self.facts[block.name] = found
             except ExceptionAnswer as refusal:
                 unit, dialect = self.device.unit, self.device.profile.dialect

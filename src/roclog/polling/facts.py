@@ -16,14 +16,16 @@ if TYPE_CHECKING:
     from roclog.register_map import Block
 
 
-async def read_facts(block: Block, device: Device, bus: Bus, tally: Tally) -> dict[str, Value]:
-    """The fields of one block by name.
+async def read_facts(
+    block: Block, device: Device, bus: Bus, tally: Tally, due: int
+) -> dict[str, Value]:
+    """The fields of one block by name. due: as of Bus.transact.
 
     Raises:
         DeviceError: as Bus.transact.
     """
     request = read_request(block, device.profile.dialect)
-    answer = await bus.transact(device.unit, request, tally)
+    answer = await bus.transact(device.unit, request, tally, due=due)
     words = block_words(block, answer.pdu[len(request.head) :])
     decoded = decode(block, words, device.word_order)
     return dict(zip(field_names(block), decoded.values, strict=True))
