@@ -33,7 +33,7 @@ class Recorder(Protocol):
 class Outbox:
     """Messages of one device. ``add`` what must be durable, then ``flush`` or ``flush_soon``.
 
-    group: commits for all devices together what none of them waits for.
+    group: commits for all devices together; None: everything goes to the recorder by itself.
     on_give_up: called with each message that the disk did not take in time.
     """
 
@@ -95,8 +95,11 @@ class Outbox:
         return taken
 
     def note(self, entry: Entry) -> None:
-        """Record without waiting for the disk."""
-        self._recorder.note([entry])
+        """Record without waiting for the disk, behind the samples that were read before."""
+        if self._group is None:
+            self._recorder.note([entry])
+        else:
+            self._group.note(entry)
 
     def event(self, level: str, kind: str, text: str) -> None:
         """A ``/log`` event, on stderr as well."""
@@ -108,9 +111,18 @@ class Outbox:
         """Something a later run must know changed without a message of its own."""
         self._recorder.carry(topic, carry)
 
+    @property
+    def is_under_way(self) -> bool:
+        """Something was taken and is not settled yet."""
+        return bool(self._in_flight)
+
     async def flush(self) -> bool:
         """Commit what waits; False (and an event, once) when the disk does not take it."""
-        return not self._waiting or await _commit(self._recorder, [self])
+        if not self._waiting:
+            return True
+        if self._group is not None:
+            return await self._group.commit(self)
+        return await _commit(self._recorder, [self], [])
 
     def flush_soon(self) -> None:
         """Have what waits committed with that of other devices, within a quarter of a second."""
@@ -129,41 +141,72 @@ class Outbox:
 class CommitGroup:
     """One commit for everything that devices wanted kept in the last quarter of a second.
 
-    A device that holds its sample until it is told to forget it commits by itself, at once.
+    A device that holds its sample until it is told to forget it does not wait so long: its commit
+    takes along what waits of the others. So messages are written in the order of their times.
     """
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
         self._asking: dict[Outbox, None] = {}
+        self._notes: list[Entry] = []
         self._task: asyncio.Task[None] | None = None
+        self._finished = False
 
     def ask(self, outbox: Outbox) -> None:
         """Commit ``outbox`` with the next lot."""
         self._asking[outbox] = None
-        if self._task is None:
-            self._task = asyncio.get_running_loop().create_task(self._commit_soon())
+        self._wake()
+
+    def note(self, entry: Entry) -> None:
+        """Write ``entry`` with the next lot; nobody asks whether the disk has it."""
+        if self._finished:
+            self._recorder.note([entry])
+            return
+        self._notes.append(entry)
+        self._wake()
+
+    async def commit(self, outbox: Outbox) -> bool:
+        """Commit ``outbox`` and the next lot now; as Outbox.flush."""
+        self._asking[outbox] = None
+        await self._commit_lot()
+        return outbox.empty
 
     async def finish(self) -> None:
         """Commit what is left; return when nothing is under way any more."""
         while self._task is not None:
             await self._task
+        self._finished = True
+
+    def _wake(self) -> None:
+        if self._task is None:
+            self._task = asyncio.get_running_loop().create_task(self._commit_soon())
 
     async def _commit_soon(self) -> None:
         await asyncio.sleep(_GATHER_SECONDS)
-        asking, self._asking = list(self._asking), {}
         try:
-            await _commit(self._recorder, asking)
+            await self._commit_lot()
         finally:
             self._task = None
-        if self._asking:
-            self._task = asyncio.get_running_loop().create_task(self._commit_soon())
+        if self._asking or self._notes:
+            self._wake()
+
+    async def _commit_lot(self) -> None:
+        ready = [outbox for outbox in self._asking if not outbox.is_under_way]
+        for outbox in ready:
+            del self._asking[outbox]
+        notes, self._notes = self._notes, []
+        await _commit(self._recorder, ready, notes)
 
 
-async def _commit(recorder: Recorder, outboxes: Sequence[Outbox]) -> bool:
+async def _commit(recorder: Recorder, outboxes: Sequence[Outbox], notes: Sequence[Entry]) -> bool:
     failure = None
+    lots = [outbox.take() for outbox in outboxes]
+    batch = _in_order([*lots, notes])
     try:
-        batch = [entry for outbox in outboxes for entry in outbox.take()]
-        await asyncio.wrap_future(recorder.commit(batch))
+        if any(lots):
+            await asyncio.wrap_future(recorder.commit(batch))
+        elif notes:
+            recorder.note(batch)
     except StorageError as error:
         failure = error
     except BaseException:
@@ -173,6 +216,17 @@ async def _commit(recorder: Recorder, outboxes: Sequence[Outbox]) -> bool:
     for outbox in outboxes:
         outbox.settle(failure)
     return failure is None
+
+
+def _in_order(lots: Sequence[Sequence[Entry]]) -> list[Entry]:
+    """By time, but those of one lot in their order, even where the wall clock was set back."""
+    timed: list[tuple[int, Entry]] = []
+    for lot in lots:
+        latest = 0
+        for entry in lot:
+            latest = max(latest, entry.log_time)
+            timed.append((latest, entry))
+    return [entry for _, entry in sorted(timed, key=lambda pair: pair[0])]
 
 
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

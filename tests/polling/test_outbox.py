@@ -1,0 +1,141 @@
+"""What devices want recorded reaches the writer in the order of its times."""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bus_fakes import VirtualClock, run
+
+from roclog.errors import StorageError
+from roclog.outbox import CommitGroup, Outbox
+from roclog.recording.entries import Entry
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+
+@dataclass
+class Disk:
+    """lots: (was it a commit, times of its entries)."""
+
+    lots: list[tuple[bool, list[int]]] = field(default_factory=list)
+    failing: bool = False
+
+    def commit(self, entries: Sequence[Entry]) -> Future[None]:
+        done: Future[None] = Future()
+        if self.failing:
+            done.set_exception(StorageError(Path("/disk"), "full"))
+            return done
+        self.lots.append((True, [entry.log_time for entry in entries]))
+        done.set_result(None)
+        return done
+
+    def note(self, entries: Sequence[Entry]) -> Future[None]:
+        self.lots.append((False, [entry.log_time for entry in entries]))
+        done: Future[None] = Future()
+        done.set_result(None)
+        return done
+
+    def carry(self, topic: str, values: Mapping[str, object]) -> Future[None]:
+        raise NotImplementedError
+
+
+def entry(time: int) -> Entry:
+    return Entry("/a/b", time, time, 0, b"", {})
+
+
+def test_a_lot_is_in_order_of_time_whoever_it_is_from() -> None:
+    async def main() -> None:
+        disk = Disk()
+        group = CommitGroup(disk)
+        one, two = (Outbox(name, disk, VirtualClock(), group) for name in ("one", "two"))
+        for time in (1, 4):
+            one.add(entry(time))
+        two.add(entry(2))
+        one.flush_soon()
+        two.note(entry(3))
+        two.flush_soon()
+        await group.finish()
+        assert disk.lots == [(True, [1, 2, 3, 4])]
+        assert one.empty
+        assert two.empty
+
+    run(main())
+
+
+def test_who_cannot_wait_takes_along_what_was_read_before() -> None:
+    async def main() -> None:
+        disk = Disk()
+        group = CommitGroup(disk)
+        patient, flagged = (Outbox(name, disk, VirtualClock(), group) for name in ("p", "f"))
+        patient.add(entry(1))
+        patient.flush_soon()
+        flagged.add(entry(2))
+        assert await flagged.flush()
+        assert disk.lots == [(True, [1, 2])]
+        await group.finish()
+        assert len(disk.lots) == 1
+
+    run(main())
+
+
+def test_notes_alone_are_written_and_not_committed() -> None:
+    async def main() -> None:
+        disk = Disk()
+        group = CommitGroup(disk)
+        outbox = Outbox("one", disk, VirtualClock(), group)
+        outbox.note(entry(1))
+        assert disk.lots == []
+        await group.finish()
+        outbox.note(entry(2))
+        assert disk.lots == [(False, [1]), (False, [2])]
+
+    run(main())
+
+
+def test_a_commit_that_fails_leaves_everybody_waiting() -> None:
+    async def main() -> None:
+        disk = Disk(failing=True)
+        group = CommitGroup(disk)
+        patient, flagged = (Outbox(name, disk, VirtualClock(), group) for name in ("p", "f"))
+        patient.add(entry(1))
+        patient.flush_soon()
+        flagged.add(entry(2))
+        assert not await flagged.flush()
+        assert (patient.empty, flagged.empty) == (False, False)
+        disk.failing = False
+        assert await flagged.flush()
+        patient.flush_soon()
+        await group.finish()
+        first, second = (times for is_commit, times in disk.lots if is_commit)
+        assert first[0] == 2
+        assert len(first) == 3  # and what both said about it
+        assert second[0] == 1
+
+    run(main())
+
+
+def test_what_is_under_way_is_not_taken_twice() -> None:
+    async def main() -> None:
+        disk = Disk()
+        stuck: Future[None] = Future()
+        group = CommitGroup(disk)
+        outbox = Outbox("one", disk, VirtualClock(), group)
+        outbox.add(entry(1))
+        disk.commit = lambda entries: stuck  # type: ignore[method-assign]
+        first = asyncio.create_task(outbox.flush())
+        await asyncio.sleep(0.01)
+        outbox.add(entry(2))
+        assert not await outbox.flush()
+        stuck.set_result(None)
+        await asyncio.sleep(0.01)
+        assert not await first  # the second one still waits
+        del disk.commit
+        assert await outbox.flush()
+        assert disk.lots == [(True, [2])]
+
+    run(main())
