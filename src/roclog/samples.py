@@ -192,6 +192,12 @@ class SampleMaker:
         )
 
 
+def replaced_entry(device: str, since: int, now: int) -> Entry:
+    """A gap, both ns UTC: what two devices at one address completed between their last reads."""
+    data = GAP.pack(iter((since, now, 0, Reason.REPLACED, True)))
+    return Entry(f"/{device}/gap", now, now, 0, data)
+
+
 def link_entry(device: str, since: Instant, now: Instant, tally: Tally) -> Entry:
     """Counts between two instants; the bus load is the part of the time the line was taken."""
     elapsed = max(1, now.monotonic - since.monotonic)

@@ -33,11 +33,11 @@ def text(value: str, registers: int) -> list[int]:
     return [int.from_bytes(octets[at : at + 2], "big") for at in range(0, len(octets), 2)]
 
 
-def identity() -> list[int]:
+def identity(serial_number: str) -> list[int]:
     return [
         *text("HIAC", 15),
         *text("ROC", 10),
-        *text("1203270042", 5),
+        *text(serial_number, 5),
         *text("HIAC ROC", 4),
         *(0, 0, 0, 0, 104, 100, 0),
         *text("2089263-1 RevC", 7),

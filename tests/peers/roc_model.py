@@ -64,12 +64,15 @@ class Model:
     def __init__(self, options: Options, truth: Truth) -> None:
         self.truth = truth
         self.on_reset: Callable[[], None] = lambda: None
+        self.on_power_failure: Callable[[], object] = lambda: None
         self.race: Callable[[Sample | None], bool] = _nothing
         self._options = options
         self._disk = _disk(options.check_disk) if options.check_disk else None
-        self._identity = identity()
+        self._identity = identity(options.serial_number)
         self._saved = configuration(options.unit, options.cycle)
         self._config = dict(self._saved)
+        self._unit = options.unit
+        self._settings_written = 0
         period = self._saved[SAMPLE_PERIOD]
         self.source = SampleSource(
             options.seed, options.word_order, period, options.identical_every
@@ -88,8 +91,8 @@ class Model:
 
     @property
     def unit(self) -> int:
-        """A new node id counts from the next start on, if it was saved."""
-        return self._saved[NODE_ID]
+        """A new node id counts from the next start on, if it was saved; the document is silent."""
+        return self._config[NODE_ID] if self._options.node_id_now else self._unit
 
     # -- the life of a sample ---------------------------------------------------------------
 
@@ -127,6 +130,7 @@ class Model:
         self.current = self._incoming = self._flagged = None
         self.block = [0] * len(BLOCK)
         self._config = dict(self._saved)
+        self._unit = self._saved[NODE_ID]
 
     def _raise(self, sample: Sample) -> None:
         self._flagged, self.block[0] = sample, 1
@@ -199,10 +203,12 @@ class Model:
         facts |= {"values": list(command.values), **origin}
         try:
             wanted = check_write(command, self._config)
+            self._refuse_command(wanted)
         except PduError as error:
             self.truth.log("write", accepted=False, code=error.code, **facts)
             raise
-        self._config |= {key: value for key, value in wanted.items() if key in self._config}
+        if wanted.keys() & self._config.keys():
+            return self._set(wanted, echo, facts)
         if SAVE in wanted:
             self._saved = dict(self._config)
         if RESET in wanted:
@@ -211,6 +217,25 @@ class Model:
             return Reply(None)
         self.truth.log("write", accepted=True, **facts)
         return Reply(echo)
+
+    def _refuse_command(self, wanted: dict[int, int]) -> None:
+        if self._options.refuse_command in wanted:
+            raise PduError(ILLEGAL_VALUE)
+
+    def _set(self, wanted: dict[int, int], echo: bytes, facts: dict[str, object]) -> Reply:
+        """A write of settings, or what has been ordered to become of it."""
+        options = self._options
+        self._settings_written += 1
+        ordered = self._settings_written >= options.settings_from
+        fault = options.settings if ordered else None
+        self.truth.log("write", accepted=fault in (None, "lose"), fault=fault, **facts)
+        if fault == "refuse":
+            raise PduError(ILLEGAL_VALUE)
+        if fault in (None, "lose"):
+            self._config |= wanted
+        if self._settings_written == options.power_fails_after:
+            self.on_power_failure()
+        return Reply(None if fault in ("lose", "deaf") else echo)
 
     def _clear(self, function: int, echo: bytes, origin: dict[str, object]) -> Reply:
         facts = {"function": function, **self._on_disk(), **origin}

@@ -19,6 +19,7 @@ class Options:
     tcp: str | None = _option(None, "HOST:PORT to listen on, port 0 for any")
     pty: str | None = _option(None, "symbolic link to make to a pseudo terminal")
     unit: int = _option(138, "unit address (register 100)", kind=int)
+    serial_number: str = _option("1203270042", "10 characters (registers 25-29)")
     cycle: float = _option(0.2, "seconds from sample to sample", kind=float)
     samples: int = _option(300, "samples to make", kind=int)
     seed: int = _option(1, "of samples and faults", kind=int)
@@ -45,6 +46,16 @@ class Options:
     identical_every: int = _option(0, "every N-th sample repeats the one before", kind=int)
     drop_link_every: float = _option(0.0, "seconds between losses of the link", kind=float)
     stop_after: int = _option(0, "dead half a cycle after sample K", kind=int)
+    settings: str | None = _option(
+        None,
+        "what becomes of a write to 100-113: refused, echoed only, done unanswered, neither",
+        choices=("refuse", "ignore", "lose", "deaf"),
+    )
+    settings_from: int = _option(1, "number of the first write that befalls", kind=int)
+    power_fails_after: int = _option(0, "power fails after the N-th write to 100-113", kind=int)
+    refuse_command: int = _option(0, "register, 1101 or 1102, that answers exception 3", kind=int)
+    reset_takes: float = _option(0.0, "seconds of silence after a reset", kind=float)
+    node_id_now: bool = _option(default=False, text="100 counts as soon as written", kind=bool)
     check_disk: str | None = _option(None, "look for each cleared block in DIR/**/*.mcap")
 
     def __post_init__(self) -> None:

@@ -71,7 +71,7 @@ class Bus:
 
     permitted: the only writes that may leave, as (unit, address, value).
     devices: how many share the connection. failing: names of those that do not answer at present.
-    on_open: called each time the link was opened.
+    on_open: called each time the link was opened. openings: how often that was.
     """
 
     def __init__(
@@ -90,6 +90,7 @@ class Bus:
         self._clock = clock
         self._permitted = permitted
         self._turns = Turns()
+        self.openings = 0
         self._opened = False
         self._trouble = ""
         self._retry_after = 0
@@ -141,6 +142,11 @@ class Bus:
             self._turns.release()
 
     @property
+    def is_open(self) -> bool:
+        """Whoever answered last is still connected, for all that is known."""
+        return self._opened
+
+    @property
     def has_queue(self) -> bool:
         """Somebody waits for the connection."""
         return self._turns.has_queue
@@ -164,9 +170,7 @@ class Bus:
             if (unit, address, value) in self._permitted:
                 return
             what = f"writing {value} to register {address}"
-        raise WriteRefused(
-            f"{self.link.name} unit {unit}: {what} is not the profile's acknowledgement"
-        )
+        raise WriteRefused(f"{self.link.name} unit {unit}: {what} is not permitted here")
 
     async def _open(self) -> None:
         if self._now() < self._retry_after:
@@ -183,6 +187,7 @@ class Bus:
             self._retry_after = self._now() + self._retry_delay
             self._retry_delay = min(2 * self._retry_delay, _LAST_RETRY)
         self._opened = True
+        self.openings += 1
         if self.on_open is not None:
             self.on_open()
         self._quiet_since = max(self._quiet_since, self._now())

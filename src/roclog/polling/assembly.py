@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 from roclog.bus.tally import Tally
@@ -16,6 +17,7 @@ from roclog.polling.clock_watch import ClockWatch
 from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
 from roclog.polling.device import PolledDevice
 from roclog.polling.flagged_block import FlaggedBlock
+from roclog.polling.identity import Succession, identity_topic
 from roclog.polling.stamped_table import StampedTable, stamp_decoder
 from roclog.register_map import FlagAndClear
 from roclog.samples import SampleMaker
@@ -43,6 +45,7 @@ class _Shared:
     bus: Bus
     tally: Tally
     clock_watch: ClockWatch
+    outboxes: dict[str, Outbox]
 
 
 class Assembly:
@@ -62,25 +65,22 @@ class Assembly:
     def device(self, device: Device, bus: Bus, phase: int) -> PolledDevice:
         """A device with all its pollers; phase as of PolledDevice."""
         tally = Tally()
-        flagged: FlaggedBlock | None = None
-        cyclic: dict[int, list[Block]] = {}
-        for block in device.profile.samples:
-            if isinstance(block.trigger, FlagAndClear):
-                flagged = self._flagged(device, block, bus, tally)
-            else:
-                cyclic.setdefault(block.period or device.poll, []).append(block)
-        outbox = self._outbox(device)
+        outbox = Outbox(device.name, self._writer, self._clock, self._group)
         clock_watch = ClockWatch(device.name, outbox)
-        pollers: list[Poller] = [] if flagged is None else [flagged]
-        shared = _Shared(device, bus, tally, clock_watch)
-        pollers += [self._cyclic(shared, blocks, period) for period, blocks in cyclic.items()]
-        pollers += [self._stamped(shared, table) for table in device.profile.stamped_tables]
+        shared = _Shared(device, bus, tally, clock_watch, {})
+        topics = [f"/{device.name}/{name}" for name in _sample_names(device)]
+        carried = {topic: self._carry[topic] for topic in topics if topic in self._carry}
+        succession = Succession(
+            device, topics, self._carry.get(identity_topic(device.name), {}), self._writer
+        )
         return PolledDevice(
             device=device,
             bus=bus,
             tally=tally,
-            pollers=pollers,
-            flagged=flagged,
+            make_pollers=partial(self._pollers, shared),
+            carried=carried,
+            answered_at=max(map(_read_at, carried.values()), default=0),
+            succession=succession,
             outbox=outbox,
             writer=self._writer,
             clock=self._clock,
@@ -88,47 +88,80 @@ class Assembly:
             phase=phase,
         )
 
-    def _outbox(self, device: Device) -> Outbox:
-        return Outbox(device.name, self._writer, self._clock, self._group)
+    def _pollers(self, shared: _Shared, carried: Mapping[str, Carried]) -> Sequence[Poller]:
+        """carried: what earlier runs left of each topic. The flagged block, if any, is first."""
+        flagged: list[Poller] = []
+        cyclic: dict[int, list[Block]] = {}
+        for block in shared.device.profile.samples:
+            if isinstance(block.trigger, FlagAndClear):
+                flagged.append(self._flagged(shared, block, carried))
+            else:
+                cyclic.setdefault(block.period or shared.device.poll, []).append(block)
+        tables = shared.device.profile.stamped_tables
+        return (
+            *flagged,
+            *(self._cyclic(shared, blocks, period, carried) for period, blocks in cyclic.items()),
+            *(self._stamped(shared, table, carried) for table in tables),
+        )
 
-    def _flagged(self, device: Device, block: Block, bus: Bus, tally: Tally) -> FlaggedBlock:
-        epoch, memory, read_until = self._resume(device, block.name, _recover, Memory())
+    def _outbox(self, shared: _Shared, name: str) -> Outbox:
+        """Of one poller and its successors: what the disk did not take yet stays in line."""
+        if name not in shared.outboxes:
+            outbox = Outbox(shared.device.name, self._writer, self._clock, self._group)
+            shared.outboxes[name] = outbox
+        return shared.outboxes[name]
+
+    def _flagged(
+        self, shared: _Shared, block: Block, carried: Mapping[str, Carried]
+    ) -> FlaggedBlock:
+        device = shared.device
+        epoch, memory, read_until = _resume(carried, device, block.name, _recover, Memory())
         maker = SampleMaker(device.name, device.profile.name, block, device.word_order, epoch)
         return FlaggedBlock(
             unit=device.unit,
-            bus=bus,
-            tally=tally,
+            bus=shared.bus,
+            tally=shared.tally,
             maker=maker,
             memory=memory,
-            outbox=self._outbox(device),
+            outbox=self._outbox(shared, block.name),
             clock=self._clock,
             acknowledge=device.acknowledge,
             period=block.period or device.poll,
             read_until=read_until,
         )
 
-    def _cyclic(self, shared: _Shared, blocks: list[Block], period: int) -> CyclicBlocks:
+    def _cyclic(
+        self,
+        shared: _Shared,
+        blocks: list[Block],
+        period: int,
+        carried: Mapping[str, Carried],
+    ) -> CyclicBlocks:
         device = shared.device
+        cycle = device.cycle if device.profile.flagged is None else None  # else it is that block's
         members = []
         for block in blocks:
-            epoch, last, read_until = self._resume(device, block.name, _last_sample, (0, b""))
+            epoch, last, read_until = _resume(carried, device, block.name, _last_sample, (0, b""))
             maker = SampleMaker(device.name, device.profile.name, block, device.word_order, epoch)
-            members.append(CyclicBlock(maker, period, maker.known(*last), read_until, last[1]))
+            known = maker.known(*last)
+            members.append(CyclicBlock(maker, period, known, read_until, last[1], cycle=cycle))
         return CyclicBlocks(
             unit=device.unit,
             bus=shared.bus,
             tally=shared.tally,
             blocks=members,
             period=period,
-            outbox=self._outbox(device),
+            outbox=self._outbox(shared, f"every {period}"),
             clock_watch=shared.clock_watch,
             dialect=device.profile.dialect,
         )
 
-    def _stamped(self, shared: _Shared, table: Table) -> StampedTable:
+    def _stamped(
+        self, shared: _Shared, table: Table, carried: Mapping[str, Carried]
+    ) -> StampedTable:
         device = shared.device
         fresh = (0, ChangeMemory())
-        epoch, (seq, memory), read_until = self._resume(device, table, _states, fresh)
+        epoch, (seq, memory), read_until = _resume(carried, device, table, _states, fresh)
         return StampedTable(
             unit=device.unit,
             bus=shared.bus,
@@ -138,26 +171,41 @@ class Assembly:
             decoder=stamp_decoder(device.profile.stamp_rules),
             memory=memory,
             clock=shared.clock_watch,
-            outbox=self._outbox(device),
+            outbox=self._outbox(shared, table),
             period=device.poll,
             read_until=read_until,
         )
 
-    def _resume(
-        self, device: Device, name: str, read: Callable[[Carried], State], fresh: State
-    ) -> tuple[bytes, State, int]:
-        """Epoch, state and last read of a channel; a new epoch where nothing usable is left."""
-        topic = f"/{device.name}/{name}"
-        carry = self._carry.get(topic)
-        if carry is None:
-            return uuid.uuid4().bytes, fresh, 0
-        try:
-            return uuid.UUID(hex=str(carry["epoch"])).bytes, read(carry), int(str(carry["read_at"]))
-        except (KeyError, ValueError) as error:
-            _log.warning(
-                "%s: what is left of the last run is no use (%r), a new epoch begins", topic, error
-            )
-            return uuid.uuid4().bytes, fresh, 0
+
+def _sample_names(device: Device) -> Iterator[str]:
+    yield from (block.name for block in device.profile.samples)
+    yield from device.profile.stamped_tables
+
+
+def _resume(
+    carried: Mapping[str, Carried],
+    device: Device,
+    name: str,
+    read: Callable[[Carried], State],
+    fresh: State,
+) -> tuple[bytes, State, int]:
+    """Epoch, state and last read of a channel; a new epoch where nothing usable is left."""
+    topic = f"/{device.name}/{name}"
+    carry = carried.get(topic)
+    if carry is None:
+        return uuid.uuid4().bytes, fresh, 0
+    try:
+        return uuid.UUID(hex=str(carry["epoch"])).bytes, read(carry), int(str(carry["read_at"]))
+    except (KeyError, ValueError) as error:
+        _log.warning(
+            "%s: what is left of the last run is no use (%r), a new epoch begins", topic, error
+        )
+        return uuid.uuid4().bytes, fresh, 0
+
+
+def _read_at(carry: Carried) -> int:
+    read_at = carry.get("read_at")
+    return read_at if isinstance(read_at, int) else 0
 
 
 def _states(carry: Carried) -> tuple[int, ChangeMemory]:

@@ -27,6 +27,10 @@ class ClockWatch:
             level = "info" if fact.event is ClockEvent.STEADY else "warning"
             self._outbox.event(level, "clock", fact.text)
 
+    def restart(self) -> None:
+        """Another device, another clock."""
+        self._clock = DeviceClock()
+
     def report(self, now: Instant) -> None:
         """Record the offset, where it is known."""
         known = self._clock.offset(now)

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 from roclog.errors import DeviceError, ExceptionAnswer, LinkDown
 from roclog.polling.facts import device_metadata, read_facts
+from roclog.polling.flagged_block import FlaggedBlock
 from roclog.polling.refusal import described
-from roclog.samples import link_entry
+from roclog.samples import link_entry, replaced_entry
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from roclog.bus.bus import Bus
     from roclog.bus.tally import Tally
@@ -20,9 +21,11 @@ if TYPE_CHECKING:
     from roclog.decode import Value
     from roclog.outbox import Outbox
     from roclog.polling.clock_watch import ClockWatch
-    from roclog.polling.flagged_block import FlaggedBlock
+    from roclog.polling.identity import Succession
     from roclog.polling.poller import Poller
     from roclog.recording.writer import Writer
+
+    Carried = Mapping[str, object]
 
 _LINK_PERIOD: Final = 60 * 10**9
 _PATIENCE: Final = 3
@@ -30,14 +33,20 @@ _PATIENCE: Final = 3
 _FACTS_PAUSE: Final = 60 * 10**9
 _FACTS_POSTPONED: Final = 3
 _LONGEST_PAUSE: Final = 30 * 10**9
-_ABSENT: Final = 60 * 10**9
-"""After this long without an answer another device may stand there: the facts are read again."""
+_ABSENT: Final = 5 * 10**9
+"""Nobody puts another device in place of one that has told who it is in less time than this. After
+as long without an answer, or when a link is opened again, the facts are read again."""
+_FACTS_FIRST: Final = 16
+"""Who comes back is asked who it is before its samples are: in all but one poll of so many, for one
+that does not tell any more."""
 
 
 class PolledDevice:
     """Reads one device until it is told to stop.
 
-    pollers: what is read of it, one after the other. flagged: the one among them that has a flag.
+    make_pollers: what is read of it, one after the other, given what earlier runs left of each
+    topic: ``carried`` at first, nothing once another device answers in its place.
+    answered_at: UTC ns, when it last did in an earlier run, 0 = not known.
     phase: nanoseconds from the start to the first poll, so that devices do not all come at once.
     """
 
@@ -47,8 +56,10 @@ class PolledDevice:
         device: Device,
         bus: Bus,
         tally: Tally,
-        pollers: Sequence[Poller],
-        flagged: FlaggedBlock | None,
+        make_pollers: Callable[[Mapping[str, Carried]], Sequence[Poller]],
+        carried: Mapping[str, Carried],
+        answered_at: int,
+        succession: Succession,
         outbox: Outbox,
         writer: Writer,
         clock: Clock,
@@ -57,17 +68,23 @@ class PolledDevice:
     ) -> None:
         self.device = device
         self.outbox = outbox
-        self.pollers = pollers
-        self.facts: dict[str, dict[str, Value]] = {}
+        self.pollers = make_pollers(carried)
+        self.facts: dict[str, dict[str, Value | None]] = {}
         self._bus = bus
         self._tally = tally
-        self._flagged = flagged
+        self._make_pollers = make_pollers
+        self._succession = succession
+        self._is_replaced = False
+        self._samples_before = 0
+        self._answered_at = answered_at
         self._writer = writer
         self._clock = clock
         self._clock_watch = clock_watch
         self._phase = phase
         self._facts_due = True
         self._facts_after = 0
+        self._facts_read: int | None = None
+        self._openings = 0
         self._facts_failures = 0
         self._facts_postponed = 0
         self._are_calls = device.profile.dialect.has_functions
@@ -83,7 +100,12 @@ class PolledDevice:
     @property
     def samples(self) -> int:
         """Samples so far; earlier runs count."""
-        return sum(poller.samples for poller in self.pollers)
+        return self._samples_before + sum(poller.samples for poller in self.pollers)
+
+    @property
+    def _flagged(self) -> FlaggedBlock | None:
+        first = self.pollers[0]
+        return first if isinstance(first, FlaggedBlock) else None
 
     async def run(self) -> None:
         """Poll without drift until ``stop``. What is late by less than a period goes at once."""
@@ -93,7 +115,7 @@ class PolledDevice:
         while not self._stopping:
             index = due.index(min(due))
             busy = self._tally.busy
-            await self._poll(self.pollers[index], due[index])
+            await self._poll(index, due[index])
             now = self._now()
             self._report_link(now)
             due[index] = self._next_due(due[index], self.pollers[index].period, now)
@@ -153,13 +175,16 @@ class PolledDevice:
             return 0
         return min((4 * len(failing) - 1) * cost, _LONGEST_PAUSE)
 
-    async def _poll(self, poller: Poller, due: int) -> None:
+    async def _poll(self, index: int, due: int) -> None:
         """One attempt; a device that does not answer costs one time-out."""
         self._tally.polls += 1
+        if not self._bus.is_open or self._bus.openings != self._openings:
+            self._want_facts()
         try:
-            if self._facts_due and self._now() >= self._facts_after and not self._gives_way():
+            if self._facts_due and self._may_read_facts():
                 await self._read_facts(due)
-            await poller.turn(due)
+            if not self._is_replaced or self._hand_over(index):
+                await self.pollers[index].turn(due)
         except DeviceError as error:
             self._tell_trouble(error)
             return
@@ -167,6 +192,17 @@ class PolledDevice:
         if self._flagged is not None and self._flagged.powered_up:
             self._flagged.powered_up = False
             self._facts_due = True
+
+    def _want_facts(self) -> None:
+        """Unless they were read just now: another device may have been put in place."""
+        if self._facts_read is None or self._now() - self._facts_read > _ABSENT:
+            self._facts_due = True
+
+    def _may_read_facts(self) -> bool:
+        """Where it is known who answered before, not even a poll after a silence comes first."""
+        if self._silent_since is not None and self._succession.is_known and not self._are_calls:
+            return self._failures % _FACTS_FIRST > 0
+        return self._now() >= self._facts_after and not self._gives_way()
 
     def _gives_way(self) -> bool:
         """At the start all want their facts: where others wait, they wait for a few polls."""
@@ -192,12 +228,47 @@ class PolledDevice:
                 why = await described(refusal, unit, self._bus, self._tally, dialect)
                 self.outbox.event("warning", "facts", f"{block.name} block: {why}")
         self._facts_due = False
+        self._facts_read = self._now()
+        self._openings = self._bus.openings
         self._facts_postponed = 0
         self._facts_failures = 0
         self._facts_after = self._facts_after if self._are_calls else 0
         self._set_cycle()
-        metadata = device_metadata(self.device, self.facts)
-        self._writer.describe(f"roclog.device.{self.device.name}", metadata)
+        if not self._note_identity():
+            metadata = device_metadata(self.device, self.facts)
+            self._writer.describe(f"roclog.device.{self.device.name}", metadata)
+
+    def _note_identity(self) -> bool:
+        """Whether another device answers than before."""
+        changed = self._succession.see(self.facts)
+        if changed:
+            text = f"another device answers: {changed}; a new epoch begins"
+            self.outbox.event("warning", "identity", text)
+            self._is_replaced = True
+            for poller in self.pollers:
+                poller.close()
+        return bool(changed)
+
+    def _hand_over(self, index: int) -> bool:
+        """The next device begins when everything of the last one is on disk; False = not yet.
+
+        index: of the poller that is to read it first.
+        """
+        waiting = [poller.outbox for poller in self.pollers if not poller.outbox.empty]
+        for outbox in waiting:
+            outbox.flush_soon()
+        if waiting:
+            return False
+        self._is_replaced = False
+        self._succession.begin(device_metadata(self.device, self.facts))
+        self._samples_before = self.samples
+        self.pollers = self._make_pollers({})
+        self._set_cycle()
+        self._clock_watch.restart()
+        now = self._clock.now().utc
+        since = min(self._answered_at or now, now)
+        self.pollers[index].outbox.add(replaced_entry(self.device.name, since, now))
+        return True
 
     def _set_cycle(self) -> None:
         if self._flagged is None:
@@ -205,7 +276,7 @@ class PolledDevice:
         cycle = self.device.cycle
         source = self.device.profile.cycle
         if cycle is None and source is not None and source[0] in self.facts:
-            seconds = [self.facts[source[0]][name] for name in source[1]]
+            seconds = [self.facts[source[0]][name] or 0 for name in source[1]]  # never missing
             cycle = int(sum(float(value) for value in seconds) * 1e9) or None
         self._flagged.cadence.cycle = cycle
 
@@ -214,9 +285,9 @@ class PolledDevice:
         self._failures += 1
         if self._silent_since is None:
             self._silent_since = self._now()
-        if isinstance(error, LinkDown):
-            self._facts_due = True
-        elif self._failures < 2:
+        if isinstance(error, LinkDown) or self._now() - self._silent_since > _ABSENT:
+            self._want_facts()
+        if self._failures < 2 and not isinstance(error, LinkDown):
             return
         kind = type(error).__name__
         if kind != self._trouble:
@@ -225,11 +296,10 @@ class PolledDevice:
 
     def _tell_recovery(self) -> None:
         self._has_answered = True
+        self._answered_at = self._clock.now().utc
         if self._silent_since is None:
             return
         silent = self._now() - self._silent_since
-        if silent > _ABSENT:
-            self._facts_due = True
         if self._trouble:
             self.outbox.event("info", "link", f"answers again after {silent / 1e9:.1f} s")
         self._silent_since = None

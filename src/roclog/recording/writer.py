@@ -13,13 +13,14 @@ import queue
 import threading
 from concurrent.futures import Future
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 from roclog.errors import StorageError
 from roclog.recording.segment import HotSegment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from roclog.clock import Clock
     from roclog.recording.directory import Directory, Inheritance
@@ -49,7 +50,8 @@ class _Job:
     durable: bool
     done: Future[None]
     metadata: tuple[str, Mapping[str, str]] | None = None
-    carry: tuple[str, Mapping[str, object]] | None = None
+    carry: Mapping[str, Mapping[str, object] | None] | None = None
+    begins: bool = False
 
 
 class Writer:
@@ -106,7 +108,22 @@ class Writer:
 
     def carry(self, topic: str, values: Mapping[str, object]) -> Future[None]:
         """Let a later run know something that no message says."""
-        return self._submit(_Job((), durable=False, done=Future(), carry=(topic, values)))
+        return self._submit(_Job((), durable=False, done=Future(), carry={topic: values}))
+
+    def begin(
+        self,
+        name: str,
+        values: Mapping[str, str],
+        carry: Mapping[str, Mapping[str, object] | None],
+    ) -> Future[None]:
+        """Put what comes next into a new segment, with this metadata record.
+
+        carry: by topic, what a later run is to know; None = nothing of what was known any more.
+        """
+        job = _Job(
+            (), durable=False, done=Future(), metadata=(name, values), carry=carry, begins=True
+        )
+        return self._submit(job)
 
     def close(self) -> None:
         """Write what waits, close and seal the segment, leave the state file. Idempotent.
@@ -132,7 +149,8 @@ class Writer:
             while not self._jobs.empty():
                 jobs.append(self._jobs.get())
             open_for_jobs = None not in jobs
-            self._serve([job for job in jobs if job is not None])
+            for together in _split(job for job in jobs if job is not None):
+                self._serve(together)
         self._finish()
 
     def _serve(self, jobs: list[_Job]) -> None:
@@ -166,15 +184,13 @@ class Writer:
 
     def _write(self, jobs: list[_Job]) -> None:
         for job in jobs:
-            if job.metadata is not None:
-                self._metadata[job.metadata[0]] = job.metadata[1]
+            self._learn(job)
+        begins = any(job.begins for job in jobs)
         entries = _in_order(jobs)
-        segment = self._segment_for(entries)
+        segment = self._segment_for(entries, begins=begins)
         for job in jobs:
-            if job.metadata is not None:
+            if job.metadata is not None and not begins:
                 segment.append_metadata(*job.metadata)
-            if job.carry is not None:
-                self._inheritance.carry[job.carry[0]] = dict(job.carry[1])
         if any(job.carry is not None for job in jobs):
             self._directory.write_state_file(self._inheritance)
         if not entries:
@@ -186,16 +202,27 @@ class Writer:
                 self._inheritance.carry[entry.carry_topic or entry.topic] = dict(entry.carry)
         self._unsynced = [] if durable else self._unsynced + entries
 
-    def _segment_for(self, entries: list[Entry]) -> HotSegment:
+    def _learn(self, job: _Job) -> None:
+        """What the head of the next segment says."""
+        if job.metadata is not None:
+            self._metadata[job.metadata[0]] = job.metadata[1]
+        for topic, values in (job.carry or {}).items():
+            self._inheritance.carry.pop(topic, None)
+            if values is not None:
+                self._inheritance.carry[topic] = dict(values)
+
+    def _segment_for(self, entries: list[Entry], *, begins: bool) -> HotSegment:
         segment = self._segment
         if segment is None:
             self._segment = segment = self._open_next()
             if self._unsynced:
                 segment.append(self._unsynced, sync=False)
+            begins = False
         age = self._clock.now().monotonic - self._opened_at
         earliest = min([self._clock.now().utc, *(entry.log_time for entry in entries[:1])])
         stepped_back = earliest < segment.last_log_time - _STEP
-        if age >= self._limits.duration or segment.size >= self._limits.size or stepped_back:
+        full = age >= self._limits.duration or segment.size >= self._limits.size
+        if begins or full or stepped_back:
             segment = self._rotate(segment)
         return segment
 
@@ -251,6 +278,12 @@ class Writer:
 
     def _storage_error(self, error: OSError) -> StorageError:
         return StorageError(self._directory.root, error.strerror or str(error))
+
+
+def _split(jobs: Iterable[_Job]) -> Iterator[list[_Job]]:
+    """Those that may share a chunk; one that begins a segment stands alone."""
+    for _, together in groupby(jobs, lambda job: id(job) if job.begins else None):
+        yield list(together)
 
 
 def _in_order(jobs: list[_Job]) -> list[Entry]:
