@@ -16,6 +16,7 @@ from roclog.register_map import (
     FlagAndClear,
     Point,
     RegisterMap,
+    SecondsMicroseconds,
     SerialDefaults,
     SplitCalendar,
     Table,
@@ -50,6 +51,11 @@ def device(*samples: Block, **more: Any) -> RegisterMap:
         **more,
     }
     return RegisterMap(samples=samples or (block(),), **given)
+
+
+def packed(*points: Point, **more: Any) -> Block:
+    """A structure of 10 octets."""
+    return block(*points, packed=True, **more)
 
 
 def flagged(**more: Any) -> Block:
@@ -95,13 +101,58 @@ MISTAKES = {
         device(facts=(replace(flagged(), name="setup"),)),
         "block setup: facts are read once",
     ),
-    "text in a sample": (device(block(point(type_=TEXT, words=2))), "text (level) is for facts"),
+    "too large a structure": (device(packed(count=251)), "count 251 is not 2 to 250 octets"),
+    "too small a structure": (
+        device(packed(point(type_=WordType.OCTETS, words=1), count=1)),
+        "count 1 is not 2 to 250 octets",
+    ),
+    "a function beyond all": (device(packed(address=65536)), "register 65536 does not exist"),
+    "a function that is no holding register": (
+        device(packed(table=Table.INPUT_REGISTERS)),
+        "table: a function is a holding register",
+    ),
+    "a flag in a structure": (
+        device(packed(trigger=FlagAndClear(flag=9, payload=((0, 2),)))),
+        "trigger: a function has no flag",
+    ),
+    "a number behind a structure": (
+        device(packed(point("a", 7, U32))),
+        "point a: offset 7 with 4 octets is outside the block",
+    ),
+    "a shared octet": (
+        device(packed(point("a", 0, U32), point("b", 3))),
+        "point b: shares octet 3 with a",
+    ),
+    "a calendar in octets": (
+        device(packed(time=calendar(0, 1, 2, 3))),
+        "time: octets hold seconds",
+    ),
+    "microseconds behind a structure": (
+        device(packed(time=SecondsMicroseconds(seconds=3, microseconds=7))),
+        "time: offset 10 is outside the block",
+    ),
+    "microseconds in the seconds": (
+        device(packed(time=SecondsMicroseconds(seconds=0, microseconds=3))),
+        "time: one register is used twice",
+    ),
+    "a range of bytes": (
+        device(block(point(type_=WordType.OCTETS, words=2, low=Decimal(0), high=Decimal(1)))),
+        "bytes has no range",
+    ),
+    "a meaning of bytes": (
+        device(block(point(type_=WordType.OCTETS, words=2, meanings=((0, "off"),)))),
+        "bytes is not an enumeration",
+    ),
     "block twice": (device(block(), block()), "block tank: named twice"),
     "blocks alike": (
         device(block(name="tank_1"), block(name="tank1")),
         "block tank1: differs from tank_1 only in _",
     ),
     "cycle of nothing": (device(facts=facts(), cycle=("setup", ())), "cycle: no points"),
+    "identity of a sample": (
+        device(identity=(("tank", "level"),)),
+        "identity: no point tank.level in a block that is read once",
+    ),
     "cycle of no point": (
         device(facts=facts(), cycle=("setup", ("hold",))),
         "cycle: no point setup.hold",
@@ -149,7 +200,7 @@ MISTAKES = {
         device(facts=(block(point(type_=TEXT), name="setup"),)),
         "offset 0 with 0 words is outside",
     ),
-    "words of a number": (device(block(point(words=2))), "only text has a number of words"),
+    "words of a number": (device(block(point(words=2))), "only text and bytes have a number"),
     "shared register": (
         device(block(point("a", 0, U32), point("b", 1))),
         "point b: shares register 1 with a",

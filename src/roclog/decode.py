@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from roclog.device_time import time_reader
 from roclog.register_map import MAX_RANGED_POINTS, Block, Point, WordOrder, WordType
 from roclog.time_flags import TimeFlag
-from roclog.word_types import Raw, word_reader
+from roclog.word_types import Raw, block_reader
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Decoded", "TimeFlag", "Value", "decode", "field_names", "named_values", "scaled"]
 
-Value = int | float | bool | str
+Value = int | float | bool | str | bytes
 _NO_FLAGS: Final = TimeFlag(0)
 _KEPT_DECODERS: Final = 1024
 
@@ -73,7 +73,7 @@ def decode(
 
     Args:
         block: what the words mean.
-        words: of a block of coils or discrete inputs, each bit as 0 or 1.
+        words: of a block of coils or discrete inputs, each bit as 0 or 1; of a packed one, octets.
         order: the device's, for numbers of several registers.
         read_at: ns UTC, for stamps ahead of the host's clock or without a date; 0 = not known.
         changed_after: ns UTC at which a read still showed another stamp; None = not known.
@@ -82,7 +82,8 @@ def decode(
         ValueError: not as many words as the block has; the bus has checked that before.
     """
     if len(words) != block.count:
-        raise ValueError(f"block {block.name} has {block.count} words, not {len(words)}")
+        what = "octets" if block.packed else "words"
+        raise ValueError(f"block {block.name} has {block.count} {what}, not {len(words)}")
     return _decoder(block, order).decode(words, read_at, changed_after)
 
 
@@ -126,6 +127,7 @@ class _Step:
     def __init__(self, point: Point) -> None:
         self._convert = _CONVERSIONS.get(point.type)
         self._is_bcd = point.type.is_bcd
+        self._is_text = point.type is WordType.TEXT
         self._is_integer = point.type.is_integer
         self._is_float = point.is_scaled or point.type.is_float
         self._line = _Line(point.scale, point.add) if point.is_scaled else None
@@ -149,10 +151,13 @@ class _Step:
 
     def read(self, raw: Raw, values: list[Value]) -> tuple[bool, bool]:
         """Append the values of the point's fields; whether it is doubtful, and missing."""
-        if isinstance(raw, bytes):
+        if isinstance(raw, bytes) and self._is_text:
             text, legal = _text(raw)
             values.append(text)
             return not legal, False
+        if isinstance(raw, bytes):
+            values.append(raw)
+            return False, False
         number, legal = (raw, True) if self._convert is None else self._convert(raw)
         missing = number in self._sentinels or (self._is_bcd and not legal)
         value = number
@@ -232,7 +237,7 @@ class _BlockDecoder:
 
     def __init__(self, block: Block, order: WordOrder) -> None:
         self.block = block
-        self._read = word_reader(block.points, block.count, order)
+        self._read = block_reader(block, order)
         self._steps = tuple(None if _is_plain(p) else _Step(p) for p in block.points)
         self._is_plain = not any(self._steps)
         self._terms = self._terms_of_scaling()
@@ -244,7 +249,7 @@ class _BlockDecoder:
         self._gates = tuple(
             self._gate(index) for index, p in enumerate(block.points) if p.valid_when
         )
-        self._time = time_reader(block.time, order)
+        self._time = time_reader(block.time, order, packed=block.packed)
 
     def _gate(self, index: int) -> tuple[int, int, frozenset[int], int | None]:
         """Bit of the point, place of the status, its good values, place of the value if a float."""

@@ -40,11 +40,14 @@ _INVALID: Final = (0, TimeFlag.DATE_INVALID)
 _GOOD: Final = TimeFlag(0)
 
 
-def time_reader(source: TimeSource | None, order: WordOrder) -> TimeReader | None:
+def time_reader(
+    source: TimeSource | None, order: WordOrder, *, packed: bool = False
+) -> TimeReader | None:
     """A function from the words of a block, the time of their read, and ``changed_after``.
 
     Both in ns UTC, 0 and None = not known; a read still showed another stamp at ``changed_after``.
     None where the block has no time. ``order``: the device's, for numbers of two registers.
+    ``packed``: as of the block, which then holds no calendar and no stamp.
     """
     match source:
         case None:
@@ -52,9 +55,9 @@ def time_reader(source: TimeSource | None, order: WordOrder) -> TimeReader | Non
         case SplitCalendar():
             return _calendar(source)
         case UnixSeconds():
-            return _unix(source, source.word_order or order)
+            return _unix(source, source.word_order or order, packed=packed)
         case SecondsMicroseconds():
-            return _seconds_microseconds(source, source.word_order or order)
+            return _seconds_microseconds(source, source.word_order or order, packed=packed)
         case Cp56() | Cp32():
             return _stamp(source)
 
@@ -63,8 +66,8 @@ def _checked(nanoseconds: int) -> Clock:
     return (nanoseconds, _GOOD) if 0 < nanoseconds < _END_OF_TIME else _INVALID
 
 
-def _unix(source: UnixSeconds, order: WordOrder) -> TimeReader:
-    number = number_reader(WordType.U32, source.offset, order)
+def _unix(source: UnixSeconds, order: WordOrder, *, packed: bool) -> TimeReader:
+    number = number_reader(WordType.U32, source.offset, order, packed=packed)
 
     def read(words: Sequence[int], read_at: int, changed_after: int | None) -> Clock:
         del read_at, changed_after
@@ -74,9 +77,11 @@ def _unix(source: UnixSeconds, order: WordOrder) -> TimeReader:
     return read
 
 
-def _seconds_microseconds(source: SecondsMicroseconds, order: WordOrder) -> TimeReader:
-    high = number_reader(WordType.U32, source.seconds, order)
-    low = number_reader(WordType.U32, source.microseconds, order)
+def _seconds_microseconds(
+    source: SecondsMicroseconds, order: WordOrder, *, packed: bool
+) -> TimeReader:
+    high = number_reader(WordType.U32, source.seconds, order, packed=packed)
+    low = number_reader(WordType.U32, source.microseconds, order, packed=packed)
 
     def read(words: Sequence[int], read_at: int, changed_after: int | None) -> Clock:
         del read_at, changed_after

@@ -38,6 +38,7 @@ RESERVED_NAMES: Final = frozenset(
 """Fields that every sample has; a point cannot be called so."""
 _UNIT: Final = re.compile(r"[!-~]{0,32}")
 _JUDGED: Final = frozenset({WordType.MINUTES_SECONDS, WordType.MONTH_DAY, WordType.TEXT})
+_NO_NUMBERS: Final = frozenset({WordType.TEXT, WordType.OCTETS})
 """Types of which some words are illegal, besides the decimal digits, which can be missing."""
 _MIN_SCALE: Final = Decimal("1e-30")
 _MAX_SCALE: Final = Decimal("1e30")
@@ -60,22 +61,19 @@ def limits(type_: WordType) -> tuple[int, int]:
     return 0, (1 << bits) - 1
 
 
-def point_flaws(
-    point: Point, block: Block, index: int, *, is_fact: bool
-) -> Iterator[tuple[str, str]]:
+def point_flaws(point: Point, block: Block, index: int) -> Iterator[tuple[str, str]]:
     """(attribute, what is wrong with it), for the point at ``index`` of its block."""
     for name in point.field_names:
         if not NAME.fullmatch(name) or name in RESERVED_NAMES:
             yield ("name" if name == point.name else "bits"), f"{name!r} cannot be a name"
-    if point.offset < 0 or point.size < 1 or point.offset + point.size > block.count:
-        what = "bits" if block.table.has_bits else "words"
-        yield "offset", f"offset {point.offset} with {point.size} {what} is outside the block"
-    if point.words and point.type is not WordType.TEXT:
-        yield "words", "only text has a number of words"
+    size = block.size_of(point)
+    if point.offset < 0 or size < 1 or point.offset + size > block.count:
+        what = "bits" if block.table.has_bits else "octets" if block.packed else "words"
+        yield "offset", f"offset {point.offset} with {size} {what} is outside the block"
+    if point.words and not point.type.has_length:
+        yield "words", "only text and bytes have a number of words"
     if (point.type is WordType.BIT) != block.table.has_bits:
         yield "type", f"{point.type} is not a type of {block.table.replace('_', ' ')}"
-    if point.type is WordType.TEXT and not is_fact:
-        yield "type", f"text ({point.name}) is for facts only, which are read once"
     if not _UNIT.fullmatch(point.unit):
         yield "unit", f"unit {point.unit!r} is not UCUM: degrees Celsius are Cel, micro is u"
     judged = point.low is not None or point.type in _JUDGED
@@ -120,7 +118,7 @@ def _scale_flaws(point: Point) -> Iterator[tuple[str, str]]:
 
 def _bit_flaws(point: Point) -> Iterator[tuple[str, str]]:
     bits = [bit for bit, _ in point.bits]
-    width = 16 * point.size
+    width = 16 * point.type.words
     outside = [bit for bit in bits if not 0 <= bit < width]
     yield from (("bits", f"bit {bit} is outside {width} bits") for bit in outside)
     for first, size, name in point.parts:
@@ -144,7 +142,7 @@ def _range_flaws(point: Point) -> Iterator[tuple[str, str]]:
         yield "range", f"{point.low} to {point.high} is not a range"
     elif point.low > point.high:
         yield "range", f"low {point.low} is above high {point.high}"
-    if point.type in (WordType.TEXT, WordType.BIT):
+    if point.type in _NO_NUMBERS or point.type is WordType.BIT:
         yield "range", f"{point.type} has no range"
 
 
@@ -152,7 +150,7 @@ def _meaning_flaws(point: Point) -> Iterator[tuple[str, str]]:
     values = [value for value, _ in point.meanings]
     twice = sorted({value for value in values if values.count(value) > 1})
     yield from (("meanings", f"{value}: two meanings") for value in twice)
-    if values and point.type in (WordType.TEXT, WordType.F32, WordType.F64):
+    if values and (point.type in _NO_NUMBERS or point.type.is_float):
         yield "meanings", f"{point.type} is not an enumeration"
 
 

@@ -1,22 +1,55 @@
 """The words a device is described in. A register map is data: everything else follows from it.
 
 Addresses are PDU addresses, counted from 0 (Application Protocol V1.1b3, section 4.4). Offsets
-count registers (words of 16 bits) from the address of their block, or bits in a block of coils or
-discrete inputs.
+count registers (words of 16 bits) from the address of their block, bits in a block of coils or
+discrete inputs, octets in a packed block.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
 from roclog.modbus.dialect import STANDARD, Dialect
 from roclog.modbus.request import Mei
 from roclog.modbus.stamped import Layout
+from roclog.word_kinds import Table, WordOrder, WordType
 
 if TYPE_CHECKING:
     from decimal import Decimal
+
+    from roclog.writable import Writable
+
+__all__ = [
+    "MAX_BLOCK",
+    "MAX_RANGED_POINTS",
+    "MAX_READ_BITS",
+    "MAX_READ_REGISTERS",
+    "MODBUS_PORT",
+    "PACKED_OCTETS",
+    "Block",
+    "Change",
+    "ClearOnRead",
+    "Counter",
+    "Cp32",
+    "Cp56",
+    "FlagAndClear",
+    "Point",
+    "RegisterMap",
+    "SecondsMicroseconds",
+    "SerialDefaults",
+    "SplitCalendar",
+    "StampRules",
+    "StampedInputs",
+    "Table",
+    "TimeSource",
+    "Trigger",
+    "UnixSeconds",
+    "ValidWhen",
+    "WordOrder",
+    "WordType",
+    "camel_case",
+]
 
 MODBUS_PORT: Final = 502
 """TCP and UDP; Messaging on TCP/IP V1.0b, section 3.1.1 (registered with IANA)."""
@@ -26,101 +59,10 @@ MAX_READ_BITS: Final = 2000
 """V1.1b3, section 6.1."""
 MAX_BLOCK: Final = 8000
 """Registers or bits of a block that several requests fetch; its octets fit one sample."""
+PACKED_OCTETS: Final = range(2, 251)
+"""Of a packed block: a function is asked for 1 to 125 words."""
 MAX_RANGED_POINTS: Final = 64
 """The masks of a sample have one bit for each of the first 64 points of its block."""
-
-
-class Table(StrEnum):
-    """The tables of V1.1b3 section 4.3."""
-
-    COILS = "coils"
-    DISCRETE_INPUTS = "discrete_inputs"
-    INPUT_REGISTERS = "input_registers"
-    HOLDING_REGISTERS = "holding_registers"
-
-    @property
-    def read_function(self) -> int:
-        return _READ_FUNCTIONS[self.value]
-
-    @property
-    def has_bits(self) -> bool:
-        """Whether it holds single bits, not words."""
-        return self.read_function < 3
-
-
-_READ_FUNCTIONS: Final = {
-    "coils": 1,
-    "discrete_inputs": 2,
-    "holding_registers": 3,
-    "input_registers": 4,
-}
-
-
-class WordType(StrEnum):
-    """How words become a value."""
-
-    U16 = "uint16"
-    S16 = "int16"
-    U32 = "uint32"
-    S32 = "int32"
-    U64 = "uint64"
-    S64 = "int64"
-    F32 = "float32"
-    """IEEE 754 binary32."""
-    F64 = "float64"
-    """IEEE 754 binary64."""
-    BCD16 = "bcd16"
-    """Four decimal digits, the most significant in the uppermost four bits."""
-    BCD32 = "bcd32"
-    BCD64 = "bcd64"
-    MINUTES_SECONDS = "minutes_seconds"
-    """One word, minutes in the upper octet, seconds in the lower; the value is in seconds."""
-    MONTH_DAY = "month_day"
-    """One word, month in the upper octet, day in the lower; the value is month * 100 + day."""
-    TEXT = "text"
-    """Two characters in a word, upper octet first; the first 0x00 ends it."""
-    BIT = "bit"
-    """One coil or discrete input."""
-
-    @property
-    def words(self) -> int:
-        """Registers of a value; of text the point says it."""
-        return {"32": 2, "64": 4}.get(self.value[-2:], 1)
-
-    @property
-    def is_float(self) -> bool:
-        return self in (WordType.F32, WordType.F64)
-
-    @property
-    def is_integer(self) -> bool:
-        """Whether the value is a binary integer, signed or not."""
-        return self.value.removeprefix("u").startswith("int")
-
-    @property
-    def is_bcd(self) -> bool:
-        return self.value.startswith("bcd")
-
-
-class WordOrder(StrEnum):
-    """Order of the octets of a value, named by example: where 0x41424344 is found as what.
-
-    The first and third letter name upper octets of registers. The same pattern holds for 64 bits:
-    ABCD is most significant first, CDAB has the four words reversed, BADC the octets of each word,
-    DCBA both. In one register, and in text, only the octets can be swapped: BADC and DCBA do.
-    """
-
-    ABCD = "ABCD"
-    CDAB = "CDAB"
-    BADC = "BADC"
-    DCBA = "DCBA"
-
-    @property
-    def words_reversed(self) -> bool:
-        return self in (WordOrder.CDAB, WordOrder.DCBA)
-
-    @property
-    def octets_swapped(self) -> bool:
-        return self in (WordOrder.BADC, WordOrder.DCBA)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +80,8 @@ class ValidWhen:
 class Point:
     """One value of a block.
 
-    offset: registers from the address of the block; in a block of bits, bits.
+    offset: registers from the address of the block; in a block of bits, bits; packed, octets.
+    words: of text and octets, how many, in the same units.
     scale, add: the value is the number in the device times ``scale`` plus ``add``; kept as Decimal
     so that 57 * 0.01 is 0.57 exactly.
     word_order: of this point, whatever the device's is; None = the device's, which holds for values
@@ -168,11 +111,6 @@ class Point:
     sentinels: tuple[tuple[Decimal, str], ...] = ()
     valid_when: ValidWhen | None = None
     parts: tuple[tuple[int, int, str], ...] = ()
-
-    @property
-    def size(self) -> int:
-        """Words of this point."""
-        return self.words if self.type is WordType.TEXT else self.type.words
 
     @property
     def is_scaled(self) -> bool:
@@ -355,6 +293,9 @@ class Block:
     same table and period, and a block that is larger than an answer is fetched by several.
     period: nanoseconds from read to read; None = as the device is configured.
     is_clock: ``time`` is the device's clock when it is read, not the time of a measurement.
+    repeatable: where the answer to a call is lost, the function may be called once more at once.
+    packed: the answer of a function as a structure of octets. Offsets and ``count`` are octets, odd
+    ones too, and the order of the device holds for every number.
     message: name of the message type where it is not that of the block, in the same words.
     must_not_increase: points whose values cannot grow from one to the next. With the ranges of the
     32-bit points this tells a wrong word order (one warning event, never a rewrite).
@@ -373,6 +314,8 @@ class Block:
     atomic: bool = True
     is_clock: bool = False
     message: str = ""
+    packed: bool = False
+    repeatable: bool = False
 
     @property
     def handshake(self) -> FlagAndClear | None:
@@ -382,7 +325,15 @@ class Block:
     @property
     def octets(self) -> int:
         """Size of the block as on the wire: two octets a register, eight bits an octet."""
+        if self.packed:
+            return self.count
         return (self.count + 7) // 8 if self.table.has_bits else 2 * self.count
+
+    def size_of(self, point: Point) -> int:
+        """Registers, bits or octets of one of its points."""
+        if point.type.has_length:
+            return point.words
+        return point.type.words * (2 if self.packed else 1)
 
     @property
     def can_miss(self) -> bool:
@@ -440,9 +391,12 @@ class RegisterMap:
     """A device. ``facts`` are blocks read at the start and kept as metadata, not as samples.
 
     cycle: (facts block, names of the points in seconds) whose sum is the time between samples.
+    identity: (facts block, point) of what tells this very device from another one of its kind:
+    where one of them changes, another device stands there.
     answer_limit: longest time the document allows the device to answer, nanoseconds.
     dialect: how its frames differ from the standard's. has_serial_port: False = TCP and UDP only.
     stamped: lists of inputs that carry their own time stamps, read as stamp_rules say.
+    writable: what people may have written to it.
     """
 
     name: str
@@ -454,11 +408,13 @@ class RegisterMap:
     samples: tuple[Block, ...]
     facts: tuple[Block, ...] = ()
     cycle: tuple[str, tuple[str, ...]] | None = None
+    identity: tuple[tuple[str, str], ...] = ()
     port: int = MODBUS_PORT
     dialect: Dialect = STANDARD
     has_serial_port: bool = True
     stamped: tuple[StampedInputs, ...] = ()
     stamp_rules: StampRules = StampRules()
+    writable: Writable | None = None
     notes: tuple[str, ...] = field(default=())
 
     @property

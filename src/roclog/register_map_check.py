@@ -12,16 +12,19 @@ from roclog.register_map import (
     MAX_BLOCK,
     MAX_READ_BITS,
     MAX_READ_REGISTERS,
+    PACKED_OCTETS,
     Block,
     ClearOnRead,
     FlagAndClear,
     RegisterMap,
     SerialDefaults,
+    Table,
     WordType,
     camel_case,
 )
 from roclog.schema import sample_type
 from roclog.trigger_check import time_flaws, trigger_flaws
+from roclog.writable_check import writable_flaws
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -64,7 +67,12 @@ def check_register_map(register_map: RegisterMap) -> None:
 
 def find_flaws(register_map: RegisterMap) -> list[Flaw]:
     """Everything that is wrong, in the order of the map."""
-    whole = (*_map_flaws(register_map), *_cycle_flaws(register_map))
+    whole = (
+        *_map_flaws(register_map),
+        *_cycle_flaws(register_map),
+        *_identity_flaws(register_map),
+        *(("writable", f"writable: {text}") for text in writable_flaws(register_map)),
+    )
     found = [Flaw(None, None, key, "", text) for key, text in whole]
     for number, block in enumerate(register_map.blocks):
         place = f"block {block.name}: "
@@ -73,7 +81,7 @@ def find_flaws(register_map: RegisterMap) -> list[Flaw]:
         found += [Flaw(number, None, key, place, text) for key, text in flaws]
         for index, point in enumerate(block.points):
             where = f"{place}point {point.name}: "
-            flaws = point_flaws(point, block, index, is_fact=is_fact)
+            flaws = point_flaws(point, block, index)
             found += [Flaw(number, index, key, where, text) for key, text in flaws]
         for index, text in _sharing_flaws(block):
             where = f"{place}point {block.points[index].name}: "
@@ -134,6 +142,14 @@ def _cycle_flaws(register_map: RegisterMap) -> Iterator[tuple[str, str]]:
             yield "cycle", f"cycle: {facts}.{name} can be missing"
 
 
+def _identity_flaws(register_map: RegisterMap) -> Iterator[tuple[str, str]]:
+    known = {(block.name, point.name) for block in register_map.facts for point in block.points}
+    for block, point in register_map.identity:
+        if (block, point) not in known:
+            text = f"no point {block}.{point} in a block that is read once"
+            yield "identity", f"identity: {text}"
+
+
 def _block_flaws(block: Block, *, is_fact: bool) -> Iterator[tuple[str, str]]:
     if not NAME.fullmatch(block.name) or block.name in RESERVED_BLOCKS:
         yield (
@@ -169,6 +185,9 @@ def _is_wide_number(point: Point) -> bool:
 
 
 def _extent_flaws(block: Block) -> Iterator[tuple[str, str]]:
+    if block.packed:
+        yield from _function_flaws(block)
+        return
     what = "bits" if block.table.has_bits else "registers"
     answer = MAX_READ_BITS if block.table.has_bits else MAX_READ_REGISTERS
     most = answer if block.atomic else MAX_BLOCK
@@ -181,13 +200,25 @@ def _extent_flaws(block: Block) -> Iterator[tuple[str, str]]:
         yield "atomic", "atomic: a block with a flag must be read in one request"
 
 
+def _function_flaws(block: Block) -> Iterator[tuple[str, str]]:
+    least, most = PACKED_OCTETS[0], PACKED_OCTETS[-1]
+    if block.count not in PACKED_OCTETS:
+        yield "count", f"count {block.count} is not {least} to {most} octets"
+    if not 0 <= block.address <= 0xFFFF:
+        yield "address", f"register {block.address} does not exist"
+    if block.table is not Table.HOLDING_REGISTERS:
+        yield "table", "table: a function is a holding register"
+    if isinstance(block.trigger, FlagAndClear | ClearOnRead):
+        yield "trigger", "trigger: a function has no flag"
+
+
 def _sharing_flaws(block: Block) -> Iterator[tuple[int, str]]:
     taken: dict[int, str] = {}
     if block.handshake is not None:
         taken[block.handshake.flag] = "the flag"
-    what = "bit" if block.table.has_bits else "register"
+    what = "bit" if block.table.has_bits else "octet" if block.packed else "register"
     for index, point in enumerate(block.points):
-        for word in range(point.offset, point.offset + min(point.size, MAX_BLOCK)):
+        for word in range(point.offset, point.offset + min(block.size_of(point), MAX_BLOCK)):
             if word in taken:
                 yield index, f"shares {what} {word} with {taken[word]}"
             taken[word] = point.name

@@ -1,8 +1,9 @@
 """Block to protobuf: the message type, its descriptor, and its fixed-width octets.
 
 Every field is always written and has a fixed width, so that a message is one packed structure: a
-constant tag before each value. Field numbers are stable for ever: common fields have 1 to 15, the
-fields of the block follow from 16 in map order, so a map only ever grows at its end.
+constant tag before each value. Only text, among the fields of a block, is as long as it is. Field
+numbers are stable for ever: common fields have 1 to 15, the fields of the block follow from 16 in
+map order, so a map only ever grows at its end.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ class Kind(Enum):
     BOOL = (_Proto.TYPE_BOOL, 0, "?")
     ENUM = (_Proto.TYPE_ENUM, 0, "B")
     OCTETS = (_Proto.TYPE_BYTES, 2, "s")
+    TEXT = (_Proto.TYPE_STRING, 2, "s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,20 +100,25 @@ _KINDS: Final = {
     WordType.F32: Kind.FLOAT,
     WordType.F64: Kind.DOUBLE,
     WordType.BIT: Kind.BOOL,
+    WordType.TEXT: Kind.TEXT,
+    WordType.OCTETS: Kind.OCTETS,
 }
 """Every other type fits 32 bits."""
 
 
 def block_fields(block: Block) -> tuple[Field, ...]:
     """The fields that come from the map, numbered."""
-    kinds: list[tuple[str, Kind, str]] = []
+    kinds: list[tuple[str, Kind, str, int]] = []
     for point in block.points:
-        kinds.append((point.name, _kind(point), point.unit))
-        kinds += [(name, Kind.BOOL, "") for _, name in point.bits]
-        kinds += [(name, Kind.UINT32, "") for _, _, name in point.parts]
+        octets = 0
+        if point.type is WordType.OCTETS:
+            octets = point.words if block.packed else 2 * point.words
+        kinds.append((point.name, _kind(point), point.unit, octets))
+        kinds += [(name, Kind.BOOL, "", 0) for _, name in point.bits]
+        kinds += [(name, Kind.UINT32, "", 0) for _, _, name in point.parts]
     return tuple(
-        Field(name, number, kind, unit)
-        for number, (name, kind, unit) in enumerate(kinds, start=_FIRST_POINT)
+        Field(name, number, kind, unit, octets)
+        for number, (name, kind, unit, octets) in enumerate(kinds, start=_FIRST_POINT)
     )
 
 
@@ -186,6 +193,9 @@ class MessageType:
             struct.error: a value does not fit its kind; a bug, since decode knows the types.
             ValueError: not as many values as fields, or octets of another size.
         """
+        if self._has_text:
+            pairs = zip(self.fields, values, strict=True)
+            return b"".join(_packed(field, value) for field, value in pairs)
         packing, template = self._packing
         arguments = template.copy()
         arguments[1::2] = values
@@ -194,9 +204,13 @@ class MessageType:
                 raise ValueError(f"{len(arguments[index])} octets where {size} belong")
         return packing.pack(*arguments)
 
+    @cached_property
+    def _has_text(self) -> bool:
+        return any(field.kind is Kind.TEXT for field in self.fields)
+
     @property
     def size(self) -> int:
-        """Octets of a packed message."""
+        """Octets of a packed message without text."""
         return self._packing[0].size
 
     def unpack(self, data: bytes) -> dict[str, Any] | None:
@@ -208,6 +222,18 @@ class MessageType:
         if list(parts[0::2]) != template[0::2]:
             return None
         return {field.name: part for field, part in zip(self.fields, parts[1::2], strict=True)}
+
+
+def _packed(field: Field, value: Any) -> bytes:
+    """One field of a message with text."""
+    _, wire, code = field.kind.value
+    tag = _varint(field.number << 3 | wire)
+    if wire != 2:
+        return tag + struct.pack(f"<{code}", value)
+    octets: bytes = value.encode() if field.kind is Kind.TEXT else value
+    if field.size and len(octets) != field.size:
+        raise ValueError(f"{len(octets)} octets where {field.size} belong")
+    return tag + _varint(len(octets)) + octets
 
 
 def _varint(number: int) -> bytes:
@@ -232,6 +258,8 @@ class Reason(IntEnum):
     """An expected sample did not show: it may have been identical and lost its flag to a clear."""
     UNREAD = 5
     """A block that is read on schedule was not: no answer, or the connection was too busy."""
+    REPLACED = 6
+    """Another device answers at this address; what either completed in between is not known."""
 
 
 class InputChange(IntEnum):

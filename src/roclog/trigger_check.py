@@ -85,7 +85,7 @@ def _counter(block: Block, trigger: Counter) -> Iterator[str]:
     if point.type not in _COUNTERS or point.is_scaled or point.can_be_missing:
         yield f"counter: {trigger.point} is not an unscaled unsigned integer that is always there"
         return
-    largest = (1 << 16 * point.size) - 1
+    largest = (1 << 16 * point.type.words) - 1
     last = largest if trigger.last is None else trigger.last
     if not 0 <= trigger.first < last <= largest:
         yield f"counter: {trigger.first} to {last} is not a range of {point.type}"
@@ -101,15 +101,19 @@ def _ranges(what: str, ranges: Iterable[tuple[int, int]], block: Block) -> Itera
 
 def _time(block: Block) -> Iterator[str]:
     offsets: list[int] = []
+    if block.packed and not isinstance(block.time, UnixSeconds | SecondsMicroseconds):
+        yield "time: octets hold seconds, or seconds and microseconds, no other time"
+        return
+    wide = 4 if block.packed else 2
     match block.time:
         case SplitCalendar() as calendar:
             offsets = [offset for _, offset in calendar.words]
             yield from _calendar(calendar)
             yield from _zone(calendar.zone)
         case UnixSeconds(offset=offset):
-            offsets = [offset, offset + 1]
+            offsets = list(range(offset, offset + wide))
         case SecondsMicroseconds(seconds=high, microseconds=low):
-            offsets = [high, high + 1, low, low + 1]
+            offsets = [*range(high, high + wide), *range(low, low + wide)]
         case Cp56(offset=offset, zone=zone):
             offsets = list(range(offset, offset + 4))
             yield from _zone(zone)

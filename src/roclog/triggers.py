@@ -111,7 +111,7 @@ def is_raised(trigger: ClearOnRead, word: int) -> bool:
 def counter_range(block: Block, trigger: Counter) -> range:
     """The numbers that the counter goes through before it begins again."""
     point = next(point for point in block.points if point.name == trigger.point)
-    last = (1 << 16 * point.size) - 1 if trigger.last is None else trigger.last
+    last = (1 << 16 * point.type.words) - 1 if trigger.last is None else trigger.last
     return range(trigger.first, last + 1)
 
 
@@ -136,7 +136,8 @@ def _by_counter(
 
 def _counter(block: Block, trigger: Counter, words: Sequence[int], order: WordOrder) -> int:
     point = next(point for point in block.points if point.name == trigger.point)
-    read = _number_reader(point.type, point.offset, effective_order(point, order))
+    own = (point.word_order or order) if block.packed else effective_order(point, order)
+    read = _number_reader(point.type, point.offset, own, packed=block.packed)
     return int(read(words))
 
 
@@ -146,11 +147,11 @@ _number_reader = lru_cache(256)(number_reader)
 def _by_change(
     block: Block, trigger: Change, known: Known, words: Sequence[int]
 ) -> tuple[Known, Finding]:
-    if trigger.payload and not block.table.has_bits:
+    if trigger.payload and not (block.table.has_bits or block.packed):
         octets = block_octets(block, words)
         payload = b"".join(octets[2 * first : 2 * (first + n)] for first, n in trigger.payload)
     elif trigger.payload:
-        payload = bytes(bit for first, n in trigger.payload for bit in words[first : first + n])
+        payload = bytes(one for first, n in trigger.payload for one in words[first : first + n])
     else:
         payload = block_octets(block, words)
     if payload == known.payload:

@@ -124,7 +124,8 @@ def test_a_function_that_fails_says_why(tmp_path: Path, order: str) -> None:
     assert facts == f"module_type block: {refusal}-3: no type today"
     refused, answered = events(directory, "msx1.refused")
     assert refused.endswith(f"{refusal}-100, errno 5: Input/output error")
-    assert answered == "block calibration_status answered again"
+    assert refused.startswith("function 21150 (calibration_status) refused, asked for all the same")
+    assert answered == "function 21150 (calibration_status) answered again"
     assert link_sum(directory, "exception_other") == 4
 
 

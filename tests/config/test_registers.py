@@ -71,6 +71,14 @@ def loaded(tmp_path: Path) -> Callable[[str], RegisterMap]:
 
 POINT = f"{KEY}.points[0]"
 MISTAKES: dict[str, tuple[str, str]] = {
+    "an identity without its block": (
+        'identity = ["number"]\n' + BLOCK + points(LEVEL),
+        'devices.tank.identity[0]: "number" is not a block.point',
+    ),
+    "an identity that is a sample": (
+        'identity = ["level.level"]\n' + BLOCK + points(LEVEL),
+        "devices.tank.identity: identity: no point level.level in a block that is read once",
+    ),
     "no blocks": ("", "devices.tank.blocks: missing, needed is blocks"),
     "blocks in words": ('blocks = "none"', 'devices.tank.blocks: "none" is not an array of tables'),
     "no table": ('[[devices.tank.blocks]]\nname = "a"', f"{KEY}.table: missing"),
@@ -124,11 +132,11 @@ MISTAKES: dict[str, tuple[str, str]] = {
         BLOCK.replace("holding_registers", "coils") + points(LEVEL),
         f"{POINT}.type: uint16 is not a type of coils",
     ),
-    "a text in a sample": (
-        BLOCK + point("words = 2", type_="text"),
-        f"{POINT}.type: text (p) is for facts only",
+    "a scale of bytes": (
+        BLOCK + point("words = 2, scale = 2", type_="bytes"),
+        f"{POINT}.scale: bytes cannot have a scale",
     ),
-    "words of a number": (BLOCK + point("words = 2"), f"{POINT}.words: only text has a number"),
+    "words of a number": (BLOCK + point("words = 2"), f"{POINT}.words: only text and bytes"),
     "an order that is none": (
         BLOCK + point('word_order = "CDBA"', type_="uint32"),
         f'{POINT}.word_order: "CDBA" is not',
@@ -560,3 +568,9 @@ def test_mpa_48(tmp_path: Path) -> None:
 def test_mpa_48_mistakes(text: str, problem: str, refusal: Callable[[str], list[str]]) -> None:
     lines = refusal(MPA + text)
     assert any(line.startswith(problem) for line in lines), lines
+
+
+def test_identity(loaded: Callable[[str], RegisterMap]) -> None:
+    who = BLOCK.replace('"level"', '"who"').replace("100", "10") + 'read = "once"\n' + points(LEVEL)
+    found = loaded('identity = ["who.level"]\n' + BLOCK + points(LEVEL) + who)
+    assert found.identity == (("who", "level"),)

@@ -37,7 +37,7 @@ def test_every_block_is_a_function_of_the_document(block: Block) -> None:
     assert block.count == function["words"]
     assert block.octets == function["count"]
     assert block.atomic
-    covered = [word for p in block.points for word in range(p.offset, p.offset + p.size)]
+    covered = [word for p in block.points for word in range(p.offset, p.offset + block.size_of(p))]
     assert covered == list(range(block.count))
     for order in ("big", "little"):
         dialect = replace(MSX_E, order=order)

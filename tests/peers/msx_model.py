@@ -2,6 +2,11 @@
 
 Functions are those that the interface description spells out; the numbers it only lists are not
 there (exception 2). Of the writes, those which every MSX-E has; they change nothing but the status.
+
+With `acquisition` there are three more, whose layouts no document of the MSX-E3317 gives. They are
+made up here, after what the vendor's client knows of the MSX-E371x: an auto refresh counter before
+16 values, stamps with microseconds before seconds, a packed structure of 133 octets asked for as 66
+words, and the same values below 1000 with a byte count of 16 bits.
 """
 
 from __future__ import annotations
@@ -24,6 +29,7 @@ if TYPE_CHECKING:
 STATUS, TYPE, TIME, CUSTOMER = 10000, 10200, 10500, 10550
 PRESSURE_CHANNELS, CALIBRATION = 21000, 21150
 CHANNELS, CHANNELS_INFO = 15000, 15050
+OLD_VALUES, VALUES, INFORMATION = 101, 15300, 15450
 
 OLD_NUMBERS = {0: STATUS, 1: TYPE, 2: TIME, 3: CUSTOMER}
 WORDS = {
@@ -36,6 +42,8 @@ WORDS = {
     CHANNELS: 2,
     CHANNELS_INFO: 96,
 }
+MADE_UP = {OLD_VALUES: 34, VALUES: 38, INFORMATION: 66}
+"""Words of the functions that are there with `acquisition` only."""
 WRITES = {
     **dict.fromkeys((100, 11000), 8),
     **dict.fromkeys((101, 11050), 32),
@@ -66,6 +74,13 @@ class Clock:
     def elapsed_seconds(self) -> int:
         return (time.monotonic_ns() - self._begun) // 10**9
 
+    def turn(self, period: float) -> tuple[int, int]:
+        """How many periods have passed, and the module's microseconds when the last one ended."""
+        length = round(period * 1e9)
+        turns = (time.monotonic_ns() - self._begun) // length
+        elapsed = turns * length
+        return turns, (self._start + elapsed + round(elapsed * self._drift / 1e6)) // 1000
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -94,7 +109,11 @@ class Model:
             CALIBRATION: self._tell_calibration,
             CHANNELS: self._tell_number,
             CHANNELS_INFO: self._tell_channels,
+            OLD_VALUES: self._tell_old_values,
+            VALUES: self._tell_values,
+            INFORMATION: self._tell_information,
         }
+        self._words = WORDS | (MADE_UP if options.acquisition else {})
 
     def execute(self, function: int, call: Call | PduError) -> Outcome:
         if isinstance(call, PduError):
@@ -119,9 +138,9 @@ class Model:
         if call.register is None:
             return b"", {}
         function = OLD_NUMBERS.get(call.register, call.register)
-        if function not in WORDS:
+        if function not in self._words:
             raise PduError(ILLEGAL_ADDRESS)
-        if call.words != WORDS[function]:
+        if call.words != self._words[function]:
             raise PduError(ILLEGAL_VALUE)
         if function != STATUS:  # the status is that of the call before
             self._perform(call.register)
@@ -183,6 +202,43 @@ class Model:
         ]
         facts: dict[str, object] = dict(zip(("type", "position", "index"), arrays, strict=True))
         return b"".join(self._pack("16I", *array) for array in arrays), facts
+
+    def _acquired(self) -> tuple[int, int, list[int]]:
+        """Counter, module time in microseconds, and the numbers of the 16 places."""
+        turn, at = self.clock.turn(self._options.acquisition)
+        random = rng(self._options.seed, f"values {turn}")
+        return turn, at, [random.randrange(-(2**20), 2**20) for _ in range(16)]
+
+    def _tell_values(self) -> tuple[bytes, dict[str, object]]:
+        counter, at, numbers = self._acquired()
+        values = [number / 16 for number in numbers]
+        high, low = divmod(at, 10**6)
+        facts: dict[str, object] = {"counter": counter, "values": values, "at_us": at}
+        return self._pack("I16fII", counter, *values, low, high), facts
+
+    def _tell_old_values(self) -> tuple[bytes, dict[str, object]]:
+        counter, _, numbers = self._acquired()
+        return self._pack("I16i", counter, *numbers), {"counter": counter, "values": numbers}
+
+    def _tell_information(self) -> tuple[bytes, dict[str, object]]:
+        """Numbers at odd octets, and octets that are not to be swapped."""
+        turn, _, numbers = self._acquired()
+        facts: dict[str, object] = {
+            "kind": turn % 256,
+            "serial": numbers[0] % 2**32,
+            "text": f"LVDT {turn}",
+            "level": numbers[1] % 2**16 - 2**15,
+            "gain": numbers[2] / 16,
+            "revision": numbers[3] % 2**16,
+            "offset": numbers[4],
+            "key": rng(self._options.seed, f"key {turn}").randbytes(33).hex(),
+            "comment": f"{turn} " * 30,
+        }
+        kind, serial, text, level, gain, revision, offset, key, comment = facts.values()
+        head = (kind, serial, str(text).encode(), level, gain, revision, offset)
+        tail = bytes.fromhex(str(key)), str(comment).encode()[:51]
+        facts["comment"] = tail[1].decode()
+        return self._pack("BI32shfHi33s51s", *head, *tail), facts
 
 
 def described(call: Call) -> dict[str, object]:

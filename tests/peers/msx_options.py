@@ -34,6 +34,9 @@ class Options:
     channels: int = _option(8, "pressure channels, at most 16", int)
     clock_offset: float = _option(0.0, "seconds the module is ahead at the start", float)
     clock_drift: float = _option(0.0, "parts per million the module is fast", float)
+    acquisition: float = _option(
+        0.0, "seconds between values; 0: functions that no document describes are not there", float
+    )
     fail: str = _option("", "REGISTER:RETURN:ERRNO:TEXT, several with ';': exception 9")
     fail_count: int = _option(0, "failures of each before it works, 0 for ever", int)
     answer_after: float = _option(0.0, "seconds a function takes", float)
@@ -53,6 +56,8 @@ class Options:
             raise ValueError("order: big or little")
         if not 0 <= self.channels <= 16:
             raise ValueError("channels: 0 to 16")
+        if self.acquisition < 0:
+            raise ValueError("acquisition: seconds, or 0")
         shares = self.shares.values()
         if min(shares) < 0 or sum(shares) > 1:
             raise ValueError("shares of faults: 0 to 1, in sum too")

@@ -13,7 +13,7 @@ import time
 import tomllib
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from msx import MsxDevice
@@ -68,6 +68,34 @@ def test_every_function_of_the_document(order: str, way: str) -> None:
         assert [(c["register"], c["words"]) for c in device.calls()] == [
             (f["register"], f["words"]) for f in FUNCTIONS
         ]
+
+
+@both_orders
+def test_functions_that_no_document_describes(order: str) -> None:
+    mark = ">" if order == "big" else "<"
+
+    def answer(device: MsxDevice, register: int, words: int, size: int) -> bytes:
+        """Checked up to the byte count of `size` octets."""
+        query = struct.pack(f"{mark}HHHBBHH", 1, 0, 6, 1, 3, register, words)
+        octets = ask(device, "udp", query)
+        head = struct.unpack(f"{mark}HHHBB", octets[:8])
+        assert head == (1, 0, len(octets) - 6, 1, 3)
+        count, payload = octets[8 : 8 + size], octets[8 + size :]
+        assert int.from_bytes(count, "big" if order == "big" else "little") == len(payload)
+        return payload
+
+    with running(order=order, acquisition=1000.0) as device:
+        values = struct.unpack(f"{mark}I16fII", answer(device, 15300, 38, 1))
+        old = struct.unpack(f"{mark}I16i", answer(device, 101, 34, 2))
+        packed = answer(device, 15450, 66, 1)
+        assert ask(device, "udp", struct.pack(f"{mark}HHHBBHH", 1, 0, 6, 1, 3, 15450, 67))[-1] == 3
+    told = [line for line in device.truth.lines if line["event"] == "answer"]
+    assert values[:17] == (0, *cast("list[float]", told[0]["values"]))
+    assert values[18] * 10**6 + values[17] == told[0]["at_us"]
+    assert [n / 16 for n in old[1:]] == list(values[1:17])
+    assert len(packed) == 133
+    assert int.from_bytes(packed[1:5], "big" if order == "big" else "little") == told[2]["serial"]
+    assert packed[49:82].hex() == told[2]["key"]
 
 
 @both_orders

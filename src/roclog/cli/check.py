@@ -143,7 +143,9 @@ def _description(settings: Settings, loads: list[BusLoad], place: Place) -> list
         f"{'segments':12}{_segments(settings.recording)}",
     ]
     lines += [f"{'connection':12}{_connection(c)}" for c in settings.connections.values()]
-    lines += [f"{'device':12}{_device(d)}" for d in settings.devices.values()]
+    for device in settings.devices.values():
+        lines.append(f"{'device':12}{_device(device)}")
+        lines += [f"{'':14}{call}" for call in _calls(device)]
     for bus in loads:
         lines.append(f"{'bus load':12}{bus.connection}: {bus.expected:.1%}")
         lines += [f"{'':14}{term}" for term in _terms(bus)]
@@ -186,12 +188,26 @@ def _connection(connection: Connection) -> str:
 def _device(device: Device) -> str:
     said = "as the device says" if device.cycle is None else format_duration(device.cycle)
     cycle = f"cycle {said}, " if device.profile.flagged is not None else ""
+    dialect = device.profile.dialect
     order = f"{device.word_order}, " if device.profile.samples else ""
+    if dialect.has_functions:
+        order = f"{dialect.order} endian, "
     clears = "clears its flag" if device.clears else "never writes"
     return (
         f"{device.name}: {device.profile.name}, unit {device.unit} on {device.connection}, "
         f"poll {format_duration(device.poll)}, {cycle}{order}{clears}"
     )
+
+
+def _calls(device: Device) -> list[str]:
+    """Where a register is a function, what will be called: a call may act."""
+    if not device.profile.dialect.has_functions:
+        return []
+    return [
+        f"calls function {block.address} ({block.name}), {block.octets} octets, "
+        f"every {format_duration(block.period or device.poll)}"
+        for block in device.profile.samples
+    ]
 
 
 def _terms(bus: BusLoad) -> list[str]:

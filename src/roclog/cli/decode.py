@@ -14,7 +14,7 @@ from roclog.register_map import MAX_READ_REGISTERS, Block, Point, Table, WordOrd
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-_TYPES: Final = tuple(type_ for type_ in WordType if type_ is not WordType.BIT)
+_TYPES: Final = tuple(t for t in WordType if t not in (WordType.BIT, WordType.OCTETS))
 _ALIASES: Final = {"AB": WordOrder.ABCD, "BA": WordOrder.BADC}
 _ORDERS: Final = (*(order.value for order in WordOrder), *_ALIASES)
 _WORD: Final = re.compile(r"0x([0-9a-f]{1,4})|([0-9a-f]{4})|(-?[0-9]{1,5})", re.IGNORECASE)

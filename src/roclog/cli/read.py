@@ -43,10 +43,11 @@ def read(config: Path, device: str, *, as_json: bool) -> None:
     blocks = asyncio.run(read_device(settings, device, SystemClock()))
     lists = asyncio.run(read_stamped(settings, device, SystemClock()))
     if as_json:
-        click.echo(json.dumps(_as_object(device, blocks, lists)))
+        click.echo(json.dumps(_as_object(device, blocks, lists), default=bytes.hex))
     else:
+        is_function = settings.devices[device].profile.dialect.has_functions
         for block in blocks:
-            _print_block(block)
+            _print_block(block, is_function=is_function)
         for inputs in lists:
             _print_inputs(inputs)
     problems = [block.problem for block in blocks] + [inputs.problem for inputs in lists]
@@ -54,30 +55,42 @@ def read(config: Path, device: str, *, as_json: bool) -> None:
         raise DeviceError(f"{device}: {problems[0]}")
 
 
-def _print_block(read: BlockRead) -> None:
+def _print_block(read: BlockRead, *, is_function: bool) -> None:
+    """is_function: a register is a function, and what it answers has octets, not addresses."""
     console = Console(soft_wrap=True)
     block = read.block
-    title = f"{block.title or block.name}, from register {block.address}"
+    where = "function" if is_function else "bits from" if block.table.has_bits else "from register"
+    title = f"{block.title or block.name}, {where} {block.address}"
     if read.decoded is None:
         console.print(f"{title}: {read.problem}\n", markup=False)
         return
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for heading in ("register", "raw", "name", "value", "unit", ""):
-        table.add_column(heading, justify="right" if heading in {"register", "raw"} else "left")
+    place = "octet" if is_function else "address" if block.table.has_bits else "register"
+    for heading in (place, "raw", "name", "value", "unit", ""):
+        table.add_column(heading, justify="right" if heading in {place, "raw"} else "left")
     values = _by_name(read)
     for index, point in enumerate(block.points):
-        raw = read.registers[point.offset : point.offset + point.size]
-        shown = " ".join(f"{word:04X}" for word in raw[:4]) + (" ..." if len(raw) > 4 else "")
         remark = _remark(point, values)
         if read.decoded.doubtful >> index & 1:
             remark = f"outside the documented range {point.low} to {point.high}. {remark}"
-        address = str(block.address + point.offset)
+        address = point.offset * (1 if block.packed else 2)
+        if not is_function:
+            address = block.address + point.offset
         value = _text(values[point.name])
-        table.add_row(address, shown, point.name, value, point.unit, remark.strip())
+        raw = _raw(read, point)
+        table.add_row(str(address), raw, point.name, value, point.unit, remark.strip())
     console.print(table, markup=False)
     if read.decoded.device_time:
         console.print(f"device time {format_instant(read.decoded.device_time)}")
     console.print()
+
+
+def _raw(read: BlockRead, point: Point) -> str:
+    """The first four of its registers, or in a packed block as many octets."""
+    size, width = read.block.size_of(point), 2 if read.block.packed else 4
+    most = 16 // width
+    first = read.registers[point.offset : point.offset + min(size, most)]
+    return " ".join(f"{one:0{width}X}" for one in first) + (" ..." if size > most else "")
 
 
 def _print_inputs(read: StampedRead) -> None:
@@ -117,6 +130,8 @@ def _text(value: Value | None) -> str:
     """Device strings come from outside: control characters are shown, not obeyed."""
     if value is None:
         return "-"
+    if isinstance(value, bytes):
+        return value.hex(" ")
     if isinstance(value, str):
         return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in value)
     return repr(value)
@@ -146,7 +161,10 @@ def _as_object(device: str, blocks: list[BlockRead], lists: list[StampedRead]) -
             for read in lists
         ],
         "blocks": {
-            read.block.name: {"values": _by_name(read), "registers": list(read.registers)}
+            read.block.name: {
+                "values": _by_name(read),
+                "octets" if read.block.packed else "registers": list(read.registers),
+            }
             if read.decoded is not None
             else {"problem": read.problem}
             for read in blocks

@@ -7,7 +7,7 @@ What the document leaves open, and what is done:
 - Of the functions below 1000 and from 1000 on that do the same, those from 1000 on are called, as
   the document recommends; their answers are those of the standard.
 - 15300 (AcquisitionAutoRefreshGetValues) and the functions that are only listed by number have no
-  documented layout: they are not called.
+  documented layout: they are not called, unless a configuration declares one.
 - Which functions may be called again is not given. Those below tell something and are declared to
   change nothing: each is called when its period is over, GetModuleType at the start and after an
   outage, at most once a minute. A lost answer never makes a call: the next one on schedule does.
@@ -181,5 +181,6 @@ REGISTER_MAP: Final = RegisterMap(
     serial=SerialDefaults(baudrate=9600, is_documented=False),
     answer_limit=5_000_000_000,
     facts=(MODULE_TYPE,),
+    identity=(("module_type", "module_type"),),
     samples=(CLOCK, CALIBRATION, PRESSURE_CHANNELS, ACQUISITION_CHANNELS, CHANNELS_INFO),
 )

@@ -7,7 +7,8 @@ known from that client only. A payload is the octets between the fields of Modbu
 
 A call may act, a read too. So none is repeated because its answer was lost, none is joined with
 another, none cut, and word counts are exact. Only what a profile reads on schedule is called again,
-when it is due again: for those functions the profile declares that a call changes nothing.
+when it is due again: for those functions the profile declares that a call changes nothing. What a
+user declares as repeatable is called once more where its answer was lost.
 """
 
 from __future__ import annotations

@@ -15,16 +15,16 @@ _FlagTable = Annotated[Table, Meta(description="Default: the block's")]
 _Type = Annotated[WordType, Meta(title="a type", description="How words become a value")]
 _Period = Annotated[Duration, Meta(description="From read to read; default: the device's poll")]
 _AnswerLimit = Annotated[Duration, Meta(description="Longest time to an answer; default 1s")]
-_FIELD: Final = "^[a-z][a-z0-9_]{0,47}$"
-_Name = Annotated[
+NAME: Final = "^[a-z][a-z0-9_]{0,47}$"
+Name = Annotated[
     str,
     Meta(
-        pattern=_FIELD,
+        pattern=NAME,
         title="a name of 1 to 48 a-z, 0-9 and _, with a letter first",
         description="Becomes a topic or the name of a field",
     ),
 ]
-_Title = Annotated[str, Meta(max_length=200, title="a text", description="For people")]
+Title = Annotated[str, Meta(max_length=200, title="a text", description="For people")]
 _Address = Annotated[
     int, Meta(ge=0, le=65535, title="a PDU address, counted from 0, from 0 to 65535")
 ]
@@ -59,16 +59,10 @@ class ValidWhenTable(Struct, kw_only=True, forbid_unknown_fields=True):
     values: Annotated[list[int], Meta(title="whole numbers, like [0]")] | UnsetType
 
 
-class PointTable(Struct, kw_only=True, forbid_unknown_fields=True):
-    """One value of a block."""
+class ValueTable(Struct, kw_only=True, forbid_unknown_fields=True):
+    """What a value is called, and what its number means."""
 
-    name: _Name | UnsetType
-    offset: _Offset | UnsetType
-    type: _Type | UnsetType
-    words: (
-        Annotated[int, Meta(ge=1, le=125, title="registers of a text, from 1 to 125")] | UnsetType
-    ) = UNSET
-    word_order: _Order | UnsetType = UNSET
+    name: Name | UnsetType
     scale: _Number | UnsetType = UNSET
     add: (
         Annotated[int | float, Meta(title="a number", description="Added after the scale")]
@@ -110,7 +104,19 @@ class PointTable(Struct, kw_only=True, forbid_unknown_fields=True):
         ]
         | UnsetType
     ) = UNSET
-    title: _Title | UnsetType = UNSET
+    title: Title | UnsetType = UNSET
+
+
+class PointTable(ValueTable, kw_only=True, forbid_unknown_fields=True):
+    """One value of a block."""
+
+    offset: _Offset | UnsetType
+    type: _Type | UnsetType
+    words: (
+        Annotated[int, Meta(ge=1, le=125, title="registers of a text or bytes, from 1 to 125")]
+        | UnsetType
+    ) = UNSET
+    word_order: _Order | UnsetType = UNSET
 
 
 class ClearOnReadTable(Struct, kw_only=True, forbid_unknown_fields=True):
@@ -122,14 +128,9 @@ class ClearOnReadTable(Struct, kw_only=True, forbid_unknown_fields=True):
     new: _Word | UnsetType = UNSET
 
 
-class TriggerTable(Struct, kw_only=True, forbid_unknown_fields=True):
-    """When a read is a sample: flag, clear_on_read, counter or change; default: every read."""
+class CounterOrChangeTable(Struct, kw_only=True, forbid_unknown_fields=True):
+    """When an answer is a sample: counter or change; default: every answer."""
 
-    flag: _Offset | UnsetType = UNSET
-    new: _Word | UnsetType = UNSET
-    clear: _Word | UnsetType = UNSET
-    payload: _Names | UnsetType = UNSET
-    clear_on_read: ClearOnReadTable | UnsetType = UNSET
     counter: Annotated[str, Meta(title="the name of a point that counts")] | UnsetType = UNSET
     first: Annotated[int, Meta(ge=0, title="a whole number, 0 or more")] | UnsetType = UNSET
     last: Annotated[int, Meta(ge=1, title="a whole number, 1 or more")] | UnsetType = UNSET
@@ -140,6 +141,16 @@ class TriggerTable(Struct, kw_only=True, forbid_unknown_fields=True):
         ]
         | UnsetType
     ) = UNSET
+
+
+class TriggerTable(CounterOrChangeTable, kw_only=True, forbid_unknown_fields=True):
+    """When a read is a sample: flag, clear_on_read, counter or change; default: every read."""
+
+    flag: _Offset | UnsetType = UNSET
+    new: _Word | UnsetType = UNSET
+    clear: _Word | UnsetType = UNSET
+    payload: _Names | UnsetType = UNSET
+    clear_on_read: ClearOnReadTable | UnsetType = UNSET
 
 
 class TimeTable(Struct, kw_only=True, forbid_unknown_fields=True):
@@ -189,7 +200,7 @@ class TimeTable(Struct, kw_only=True, forbid_unknown_fields=True):
 class BlockTable(Struct, kw_only=True, forbid_unknown_fields=True):
     """Registers or bits that belong together."""
 
-    name: _Name | UnsetType
+    name: Name | UnsetType
     table: _Table | UnsetType
     address: _Address | UnsetType
     points: (
@@ -211,7 +222,7 @@ class BlockTable(Struct, kw_only=True, forbid_unknown_fields=True):
         ]
         | UnsetType
     ) = UNSET
-    title: _Title | UnsetType = UNSET
+    title: Title | UnsetType = UNSET
     read: (
         Annotated[
             Literal["cyclic", "once"],
@@ -258,6 +269,17 @@ class Registers(DeviceTable, kw_only=True, forbid_unknown_fields=True, tag="regi
     answer_limit: _AnswerLimit | UnsetType = UNSET
     source: (
         Annotated[str, Meta(max_length=200, title="a text", description="The document of the map")]
+        | UnsetType
+    ) = UNSET
+    identity: (
+        Annotated[
+            list[str],
+            Meta(
+                title='points of blocks that are read once, like ["who.serial_number"]',
+                description="Where one of them changes, another device stands there, and a new "
+                "epoch begins",
+            ),
+        ]
         | UnsetType
     ) = UNSET
 

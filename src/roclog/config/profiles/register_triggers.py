@@ -25,16 +25,19 @@ from roclog.register_map import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from roclog.config.profiles.register_tables import (
-        BlockTable,
         ClearOnReadTable,
+        CounterOrChangeTable,
         TimeTable,
         TriggerTable,
     )
     from roclog.config.reading import Problems
-    from roclog.register_map import Point, TimeSource, Trigger
+    from roclog.register_map import Table, TimeSource, Trigger
+
+    Spans = Mapping[str, tuple[int, int]]
+    """Names that a trigger may use: the first offset of each, and how many."""
 
 _KINDS: Final = {
     "flag": {"new", "clear", "payload"},
@@ -54,44 +57,60 @@ _SOURCES: Final[dict[str, tuple[type[Any], set[str], set[str]]]] = {
 
 
 def trigger(
-    table: BlockTable, points: tuple[Point, ...], key: str, problems: Problems
+    said: TriggerTable | UnsetType, table: Table, spans: Spans, key: str, problems: Problems
 ) -> Trigger | None:
-    """None where the file gives none, or where it is not whole; that is reported."""
-    said = table.trigger
-    if isinstance(said, UnsetType):
+    """None where the file gives none, or where it is not whole; that is reported.
+
+    table: of the block.
+    """
+    if isinstance(said, UnsetType) or not _is_one(said, key, problems):
         return None
-    kinds = [kind for kind in _KINDS if not isinstance(getattr(said, kind), UnsetType)]
-    if len(kinds) != 1:
-        if not any(problem.key.startswith(f"{key}.") for problem in problems.found):
-            what = " and ".join(kinds) if kinds else "nothing"
-            problems.add(key, f"is {what}, needed is one of {', '.join(_KINDS)}")
-        return None
-    for kind, own in _KINDS.items():
-        for name in sorted(own) if kind != kinds[0] else ():
-            if not isinstance(getattr(said, name), UnsetType):
-                problems.add(f"{key}.{name}", f"only with {kind}")
     if not isinstance(said.clear_on_read, UnsetType):
         return _clear_on_read(said.clear_on_read, table)
-    return _trigger(said, points, key, problems)
-
-
-def _trigger(
-    said: TriggerTable, points: tuple[Point, ...], key: str, problems: Problems
-) -> Trigger:
-    """One of those that name points of the block."""
-    if not isinstance(said.counter, UnsetType):
-        return Counter(point=said.counter, **given(said, "first", "last"))
-    if not isinstance(said.change, UnsetType):
-        names = said.change
-        return Change(payload=_ranges(names, points, f"{key}.change", problems) if names else ())
-    chosen = None if isinstance(said.payload, UnsetType) else said.payload
-    payload = _ranges(chosen, points, f"{key}.payload", problems)
+    if isinstance(said.flag, UnsetType):
+        return _counter_or_change(said, spans, key, problems)
+    chosen = spans if isinstance(said.payload, UnsetType) else said.payload
+    payload = _ranges(chosen, spans, f"{key}.payload", problems)
     return FlagAndClear(payload=payload, **given(said, "flag", "new", "clear"))
 
 
-def _clear_on_read(said: ClearOnReadTable, table: BlockTable) -> ClearOnRead | None:
-    where = table.table if isinstance(said.table, UnsetType) else said.table
-    if isinstance(said.address, UnsetType) or isinstance(where, UnsetType):
+def counter_or_change(
+    said: CounterOrChangeTable | UnsetType, spans: Spans, key: str, problems: Problems
+) -> Trigger | None:
+    """As ``trigger``."""
+    if isinstance(said, UnsetType) or not _is_one(said, key, problems):
+        return None
+    return _counter_or_change(said, spans, key, problems)
+
+
+def _is_one(said: CounterOrChangeTable, key: str, problems: Problems) -> bool:
+    """Whether it is one kind of trigger; else that is reported, as is a key of another kind."""
+    found = given(said, *said.__struct_fields__)
+    can = [kind for kind in _KINDS if kind in said.__struct_fields__]
+    kinds = [kind for kind in can if kind in found]
+    if len(kinds) != 1:
+        if not any(problem.key.startswith(f"{key}.") for problem in problems.found):
+            what = " and ".join(kinds) if kinds else "nothing"
+            problems.add(key, f"is {what}, needed is one of {', '.join(can)}")
+        return False
+    for kind, own in _KINDS.items():
+        for name in sorted(own & found.keys()) if kind != kinds[0] else ():
+            problems.add(f"{key}.{name}", f"only with {kind}")
+    return True
+
+
+def _counter_or_change(
+    said: CounterOrChangeTable, spans: Spans, key: str, problems: Problems
+) -> Trigger:
+    if not isinstance(said.counter, UnsetType):
+        return Counter(point=said.counter, **given(said, "first", "last"))
+    names = [] if isinstance(said.change, UnsetType) else said.change
+    return Change(payload=_ranges(names, spans, f"{key}.change", problems))
+
+
+def _clear_on_read(said: ClearOnReadTable, table: Table) -> ClearOnRead | None:
+    where = table if isinstance(said.table, UnsetType) else said.table
+    if isinstance(said.address, UnsetType):
         return None
     mask = 0xFFFF if isinstance(said.mask, UnsetType) else said.mask
     usual = 1 if isinstance(said.mask, UnsetType) else mask
@@ -100,17 +119,16 @@ def _clear_on_read(said: ClearOnReadTable, table: BlockTable) -> ClearOnRead | N
 
 
 def _ranges(
-    names: Iterable[str] | None, points: tuple[Point, ...], key: str, problems: Problems
+    names: Iterable[str], spans: Spans, key: str, problems: Problems
 ) -> tuple[tuple[int, int], ...]:
-    """(first offset, words) of these points, of all where there are no names; neighbours joined."""
-    known = {point.name: point for point in points}
+    """(first offset, words) of these points, neighbours joined."""
     words: set[int] = set()
-    for name in known if names is None else names:
-        point = known.get(name)
-        if point is None:
-            problems.add(key, f"no point {shown(name)} in this block{suggestion(name, known)}")
+    for name in names:
+        if name not in spans:
+            problems.add(key, f"no point {shown(name)} in this block{suggestion(name, spans)}")
         else:
-            words.update(range(point.offset, point.offset + point.size))
+            first, size = spans[name]
+            words.update(range(first, first + size))
     places = sorted(words)
     breaks = [index for index, (a, b) in enumerate(pairwise(places), start=1) if b > a + 1]
     edges = [0, *breaks, len(places)]

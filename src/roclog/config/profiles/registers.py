@@ -29,7 +29,12 @@ from roclog.word_types import CODES
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from roclog.config.profiles.register_tables import BlockTable, Registers, ValidWhenTable
+    from roclog.config.profiles.register_tables import (
+        BlockTable,
+        Registers,
+        ValidWhenTable,
+        ValueTable,
+    )
     from roclog.config.reading import Problems
 
 _ANSWER_LIMIT: Final = 10**9
@@ -37,7 +42,9 @@ _ORDERS: Final = {"AB": WordOrder.ABCD, "BA": WordOrder.BADC}
 _BITS: Final = re.compile(r"(\d{1,2})(?:-(\d{1,2}))?", re.ASCII)
 _INTEGER: Final = re.compile(r"-?\d{1,20}|0x[0-9a-fA-F]{1,16}", re.ASCII)
 _NUMBER: Final = re.compile(r"-?\d{1,40}(\.\d{1,40})?([eE][+-]?\d{1,3})?", re.ASCII)
-_DEPENDENT: Final = frozenset({"count", "cycle", "points", "trigger", "valid_when", "blocks"})
+_DEPENDENT: Final = frozenset(
+    {"count", "cycle", "identity", "points", "trigger", "valid_when", "blocks"}
+)
 """Keys that cannot be judged where a point or a block was left out."""
 
 
@@ -76,6 +83,7 @@ def register_map(table: Registers, key: str, problems: Problems) -> RegisterMap 
         else table.answer_limit,
         samples=tuple(samples),
         facts=tuple(facts),
+        identity=tuple(_identity(table, key, problems)),
     )
     _tell_flaws(made, key, places, problems, whole=whole)
     return None if len(problems.found) > before else made
@@ -90,13 +98,22 @@ def _tell_flaws(
     whole: bool,
 ) -> None:
     for flaw in find_flaws(made):
-        path = f"{key}.blocks"
+        path = f"{key}.{'identity' if flaw.key == 'identity' else 'blocks'}"
         if flaw.block is not None:
             block, points = places[flaw.block]
             path = f"{block if flaw.point is None else points[flaw.point]}.{flaw.key}"
         told = any(f"{problem.key}.".startswith(f"{path}.") for problem in problems.found)
         if not told and (whole or flaw.key not in _DEPENDENT):
             problems.add(path, flaw.text)
+
+
+def _identity(table: Registers, key: str, problems: Problems) -> Iterator[tuple[str, str]]:
+    for index, text in enumerate(given(table, "identity").get("identity", ())):
+        block, dot, point = text.partition(".")
+        if not dot:
+            problems.add(f"{key}.identity[{index}]", f"{shown(text)} is not a block.point")
+        else:
+            yield block, point
 
 
 def _zone(table: Registers, key: str, problems: Problems) -> str:
@@ -128,6 +145,7 @@ def _block(
         return None
     made = tuple(points.values())
     timed = time_source(table.time, f"{key}.time", zone, problems)
+    spans = {point.name: (point.offset, _size(point)) for point in made}
     block = Block(
         name=name,
         message=f"device_{device.replace('-', '_')}_{name}",
@@ -136,17 +154,21 @@ def _block(
         count=_count(table, made),
         points=made,
         time=timed,
-        trigger=trigger(table, made, f"{key}.trigger", problems),
+        trigger=trigger(table.trigger, where, spans, f"{key}.trigger", problems),
         **given(table, "title", "period", "atomic"),
     )
     return block, list(points), len(points) == len(table.points)
+
+
+def _size(point: Point) -> int:
+    return point.words if point.type.has_length else point.type.words
 
 
 def _count(table: BlockTable, points: tuple[Point, ...]) -> int:
     """As given, else up to the last register that anything names."""
     if not isinstance(table.count, UnsetType):
         return table.count
-    ends = [point.offset + point.size for point in points]
+    ends = [point.offset + _size(point) for point in points]
     if not isinstance(table.trigger, UnsetType) and isinstance(table.trigger.flag, int):
         ends.append(table.trigger.flag + 1)
     time = table.time
@@ -161,13 +183,19 @@ def _point(table: PointTable, key: str, problems: Problems) -> Point | None:
     name, offset, type_ = table.name, table.offset, table.type
     if isinstance(name, UnsetType) or isinstance(offset, UnsetType) or isinstance(type_, UnsetType):
         return None
-    more: dict[str, Any] = given(table, "words", "unit", "title")
+    more = given(table, "words") | meaning(table, type_, key, problems)
+    if not isinstance(table.word_order, UnsetType):
+        more["word_order"] = order(table.word_order)
+    return Point(name=name, offset=offset, type=type_, **more)
+
+
+def meaning(table: ValueTable, type_: WordType, key: str, problems: Problems) -> dict[str, Any]:
+    """What the number of a point means, by the names that Point has for it."""
+    more = given(table, "unit", "title")
     for number in ("scale", "add"):
         value = getattr(table, number)
         if not isinstance(value, UnsetType):
             more[number] = _exact(value)
-    if not isinstance(table.word_order, UnsetType):
-        more["word_order"] = order(table.word_order)
     if not isinstance(table.range, UnsetType):
         more["low"], more["high"] = map(_exact, table.range)
     if not isinstance(table.bits, UnsetType):
@@ -179,7 +207,7 @@ def _point(table: PointTable, key: str, problems: Problems) -> Point | None:
         more["sentinels"] = tuple(found)
     if not isinstance(table.valid_when, UnsetType):
         more["valid_when"] = _valid_when(table.valid_when)
-    return Point(name=name, offset=offset, type=type_, **more)
+    return more
 
 
 def order(text: str) -> WordOrder:
