@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import signal
-import threading
-from concurrent.futures import Future
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, Self
 
 from mei_model import Model
 from mei_options import Options, parse_options
-from roc_links import Faults, PtySide, Shared, TcpSide
+from roc_links import Faults
 from roc_options import rng
-from roc_truth import Truth
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from served import Served
 
 
 class Events:
@@ -41,84 +33,17 @@ class Events:
         self.start()
 
 
-class MeiDevice:
-    """Runs either in the caller's event loop (`serve`) or in a thread (`start`, `stop`).
-
-    address: the port or the link's path.
-    """
-
+class MeiDevice(Served):
     def __init__(self, options: Options) -> None:
-        self.options = options
-        self.truth = Truth(options.truth)
+        super().__init__(options)
         self.model = Model(options, self.truth)
-        self.address = ""
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._ended: asyncio.Event | None = None
-        self._thread: threading.Thread | None = None
 
-    async def serve(self, ready: Callable[[str], None]) -> None:
-        """`ready` is told the port or the link's path; returns when the device has ended."""
-        self._loop, self._ended = asyncio.get_running_loop(), asyncio.Event()
-        options: Any = self.options  # the links ask for some options and for the model's answers
-        model: Any = self.model
-        shared = Shared(options, self.truth, model, Faults(options))
-        side = TcpSide(shared, options.tcp) if options.tcp else PtySide(shared, options.pty)
-        self.truth.log("start", options=asdict(self.options))
-        self.model.power_up()
-        self.address = await side.open()
+    def faults(self) -> Faults:
+        return Faults(self.options)
+
+    def begin(self) -> None:
         Events(self.options, self.model).start()
-        ready(self.address)
-        try:
-            await self._ended.wait()
-        finally:
-            side.close()
-            await asyncio.sleep(0)  # lets the connections notice
-            self.truth.log("end")
-            self.truth.close()
-
-    def end(self) -> None:
-        """From any thread, or from a signal handler of the loop."""
-        if self._loop is not None and self._ended is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._ended.set)
-
-    def start(self) -> str:
-        ready: Future[str] = Future()
-        self._thread = threading.Thread(target=self._run, args=(ready,), daemon=True)
-        self._thread.start()
-        return ready.result()
-
-    def stop(self) -> None:
-        self.end()
-        if self._thread is not None:
-            self._thread.join()
-
-    def _run(self, ready: Future[str]) -> None:
-        try:
-            asyncio.run(self.serve(ready.set_result))
-        except BaseException as error:
-            if ready.done():
-                raise
-            ready.set_exception(error)
-
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-
-async def _process(options: Options) -> None:
-    device = MeiDevice(options)
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, device.end)
-    await device.serve(lambda address: print(f"listening {address}", flush=True))
-
-
-def main() -> None:
-    asyncio.run(_process(parse_options()))
 
 
 if __name__ == "__main__":
-    main()
+    MeiDevice(parse_options()).process()

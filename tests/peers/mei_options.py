@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass
+
+from peer_options import option, parse
 
 LAYOUTS = ("interleaved", "grouped")
 EXCEPTIONS = ("long", "short")
 WEEKDAYS = ("unused", "iso", "sunday")
-
-
-def _option(default: object, text: str, kind: type = str, choices: tuple[str, ...] = ()) -> Any:
-    return field(default=default, metadata={"help": text, "kind": kind, "choices": choices})
 
 
 @dataclass
@@ -27,33 +23,33 @@ class Failure:
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    tcp: str | None = _option(None, "HOST:PORT to listen on, port 0 for any")
-    pty: str | None = _option(None, "symbolic link to make to a pseudo terminal")
-    unit: int = _option(1, "unit address", int)
-    seed: int = _option(1, "of values, events and faults", int)
-    truth: str | None = _option(None, "JSONL file of what really happened")
-    discrete: int = _option(300, "discrete inputs", int)
-    registers: int = _option(300, "input registers", int)
-    first: int = _option(0, "address of the first of each", int)
-    layout: str = _option("interleaved", "of values and stamps", choices=LAYOUTS)
-    exceptions: str = _option("long", "with the MEI type, or without", choices=EXCEPTIONS)
-    zone: str = _option("UTC", "UTC or a name of the tz database: what the clock shows")
-    dow: str = _option("iso", "day of the week in stamps", choices=WEEKDAYS)
-    clock_offset: float = _option(0.0, "seconds the clock is ahead at the start", float)
-    clock_drift: float = _option(0.0, "parts per million the clock is fast", float)
-    oldest: float = _option(23.0, "hours: age of the oldest state at the start", float)
-    rate: float = _option(0.0, "events per second", float)
-    events: int = _option(0, "events to make, 0 without end", int)
-    same: float = _option(0.0, "share of events that bring the value there was", float)
-    iv: float = _option(0.0, "share of events whose time the device holds for invalid", float)
-    never: float = _option(0.0, "share of inputs whose stamp was never set", float)
-    fail: str = _option("", "MEI:ADDRESS:CODE:TIMES, several with ';': exceptions")
-    late: float = _option(0.0, "share of answers that come late", float)
-    late_by: float = _option(0.8, "seconds from the request's end to a late answer", float)
-    busy: str = _option("queue", "what is done meanwhile", choices=("queue", "deaf"))
-    corrupt: float = _option(0.0, "share of answers with one bit flipped", float)
-    drop: float = _option(0.0, "share of answers never sent", float)
-    garbage: float = _option(0.0, "share of answers behind 1-8 random octets", float)
+    tcp: str | None = option(None, "HOST:PORT to listen on, port 0 for any")
+    pty: str | None = option(None, "symbolic link to make to a pseudo terminal")
+    unit: int = option(1, "unit address", int)
+    seed: int = option(1, "of values, events and faults", int)
+    truth: str | None = option(None, "JSONL file of what really happened")
+    discrete: int = option(300, "discrete inputs", int)
+    registers: int = option(300, "input registers", int)
+    first: int = option(0, "address of the first of each", int)
+    layout: str = option("interleaved", "of values and stamps", choices=LAYOUTS)
+    exceptions: str = option("long", "with the MEI type, or without", choices=EXCEPTIONS)
+    zone: str = option("UTC", "UTC or a name of the tz database: what the clock shows")
+    dow: str = option("iso", "day of the week in stamps", choices=WEEKDAYS)
+    clock_offset: float = option(0.0, "seconds the clock is ahead at the start", float)
+    clock_drift: float = option(0.0, "parts per million the clock is fast", float)
+    oldest: float = option(23.0, "hours: age of the oldest state at the start", float)
+    rate: float = option(0.0, "events per second", float)
+    events: int = option(0, "events to make, 0 without end", int)
+    same: float = option(0.0, "share of events that bring the value there was", float)
+    iv: float = option(0.0, "share of events whose time the device holds for invalid", float)
+    never: float = option(0.0, "share of inputs whose stamp was never set", float)
+    fail: str = option("", "MEI:ADDRESS:CODE:TIMES, several with ';': exceptions")
+    late: float = option(0.0, "share of answers that come late", float)
+    late_by: float = option(0.8, "seconds from the request's end to a late answer", float)
+    busy: str = option("queue", "what is done meanwhile", choices=("queue", "deaf"))
+    corrupt: float = option(0.0, "share of answers with one bit flipped", float)
+    drop: float = option(0.0, "share of answers never sent", float)
+    garbage: float = option(0.0, "share of answers behind 1-8 random octets", float)
 
     def __post_init__(self) -> None:
         if (self.tcp is None) == (self.pty is None):
@@ -73,16 +69,4 @@ class Options:
 
 
 def parse_options(arguments: list[str] | None = None) -> Options:
-    parser = argparse.ArgumentParser(
-        description="test device with time-stamped inputs", allow_abbrev=False
-    )
-    for item in fields(Options):
-        name = "--" + item.name.replace("_", "-")
-        text = item.metadata["help"] + " (default: %(default)s)"
-        choices = item.metadata["choices"] or None
-        kind = item.metadata["kind"]
-        parser.add_argument(name, type=kind, default=item.default, choices=choices, help=text)
-    try:
-        return Options(**vars(parser.parse_args(arguments)))
-    except ValueError as error:
-        parser.error(str(error))
+    return parse(Options, "test device with time-stamped inputs", arguments)

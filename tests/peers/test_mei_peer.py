@@ -84,7 +84,16 @@ def test_both_exceptions(form: str, more: bool) -> None:
 
 def test_nothing_of_the_logger_or_of_a_library() -> None:
     allowed = {"mei_model", "mei_options", "mei_stamps", "roc_links", "roc_options", "roc_truth"}
-    allowed |= {"wire", "argparse", "asyncio", "collections", "concurrent", "dataclasses"}
+    allowed |= {
+        "peer_options",
+        "served",
+        "wire",
+        "argparse",
+        "asyncio",
+        "collections",
+        "concurrent",
+        "dataclasses",
+    }
     allowed |= {"datetime", "functools", "signal", "threading", "time", "typing", "zoneinfo"}
     for path in Path(__file__).parent.glob("mei*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

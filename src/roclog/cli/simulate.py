@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
-from roclog.devices import PROFILES, mei_timestamped
+from roclog.devices import CONFIGURED, PROFILES
 from roclog.quantities import format_duration, parse_duration
-from roclog.register_map import StampRules
 from roclog.simulators import (
     LineSettings,
     PtyEndpoint,
     Quirk,
     RtuOverTcpEndpoint,
+    SimulatedMpa48,
     SimulatedMsxE3317,
     SimulatedRoc,
     SimulatedStampedInputs,
@@ -35,15 +35,17 @@ if TYPE_CHECKING:
     from roclog.simulators import SimulatedDevice
 
 _STAMPED: Final = "mei-timestamped"
+_MPA: Final = "mpa-48"
 _MSX: Final = "msx-e3317"
 _SIMULATED: Final[dict[str, Callable[..., SimulatedDevice]]] = {
     "hiac-roc": SimulatedRoc,
     _STAMPED: SimulatedStampedInputs,
+    _MPA: SimulatedMpa48,
     _MSX: SimulatedMsxE3317,
 }
 _MAPS: Final[Mapping[str, RegisterMap]] = {
     **PROFILES,
-    _STAMPED: mei_timestamped.register_map((), StampRules()),
+    **CONFIGURED,
 }
 """For the unit and the line settings that devices are delivered with."""
 _NETWORK: Final[dict[str, type[TcpEndpoint | UdpEndpoint | RtuOverTcpEndpoint]]] = {
@@ -123,6 +125,24 @@ def _quirks(
     return tuple(map(Quirk, words)) or None
 
 
+def _sensors(
+    _: click.Context, parameter: click.Parameter, texts: tuple[str, ...]
+) -> dict[str, dict[str, Any]]:
+    """Arguments of the simulator; none where nothing is said."""
+    sensors: dict[str, str] = {}
+    addresses: dict[str, int] = {}
+    for text in texts:
+        match = re.fullmatch("([^=@]+)=([^=@]+)(?:@([0-9]{1,5}))?", text)
+        if match is None:
+            raise click.BadParameter(f"{text!r} is not CHANNEL=MODEL[@REGISTER]", param=parameter)
+        if match[1] in sensors:
+            raise click.BadParameter(f"{match[1]} twice", param=parameter)
+        sensors[match[1]] = match[2]
+        if match[3]:
+            addresses[match[1]] = int(match[3])
+    return {"sensors": sensors, "addresses": addresses} if sensors else {}
+
+
 def _positive(_: click.Context, parameter: click.Parameter, value: float) -> float:
     if not (math.isfinite(value) and value > 0):
         raise click.BadParameter(f"{value} is not a positive number", param=parameter)
@@ -190,8 +210,8 @@ def _positive(_: click.Context, parameter: click.Parameter, value: float) -> flo
     "--truth",
     metavar="FILE",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write every completed sample, or change of an input, to this CSV file; with several "
-    "devices, to one file each with the unit in its name.",
+    help=f"Write every completed sample, change of an input, or answer of {_MPA} to this CSV file; "
+    "with several devices, to one file each with the unit in its name.",
 )
 @click.option(
     "--rate",
@@ -227,6 +247,16 @@ def _positive(_: click.Context, parameter: click.Parameter, value: float) -> flo
     type=click.Choice(["big", "little"]),
     help=f"{_MSX}: of numbers, and of the MBAP header.  [default: big]",
 )
+@click.option(
+    "--sensor",
+    "sensors",
+    metavar="CHANNEL=MODEL[@REGISTER]",
+    multiple=True,
+    callback=_sensors,
+    help=f"{_MPA}: what is on a channel, like channel_2=model-10; from channel_3 on with the "
+    "register of its status, like channel_3=model-52@40; may be repeated.  "
+    "[default: channel_1=model-15, channel_2=model-10]",
+)
 def simulate(
     devices: tuple[Wanted, ...],
     *,
@@ -241,6 +271,7 @@ def simulate(
     seed: int,
     truth: Path | None,
     byte_order: str | None,
+    sensors: dict[str, dict[str, Any]],
     **stamped: Any,
 ) -> None:
     """Serve simulated devices.
@@ -257,11 +288,12 @@ def simulate(
       roclog simulate hiac-roc hiac-roc:139 --pty line --baud 9600 --turnaround 10ms
       roclog simulate msx-e3317 --udp 127.0.0.1:5120 --byte-order little
       roclog simulate mei-timestamped --udp 127.0.0.1:5020 --rate 5 --clock-offset 2s
+      roclog simulate mpa-48:3 --tcp 127.0.0.1:5020 --speed 10
     """
     is_timed = any(option is not None for option in (baud, turnaround, usb_latency))
     if is_timed and pty is None:
         raise click.UsageError("--baud, --turnaround and --usb-latency are for --pty only")
-    given = _given_stamped(devices, stamped)
+    own = _own_arguments(devices, byte_order, sensors, stamped)
     _check_modules(devices, byte_order, is_plain=(pty or rtu_over_tcp or truth) is None)
     endpoints = _network((tcp, udp, rtu_over_tcp), is_little_endian=byte_order == "little")
     if pty is not None:
@@ -273,7 +305,6 @@ def simulate(
     with ExitStack() as files:
         served = []
         for wanted in devices:
-            own = {_STAMPED: given, _MSX: {"byte_order": byte_order or "big"}}
             arguments: dict[str, Any] = {"seed": seed, **own.get(wanted.profile, {})}
             if truth is not None:
                 name = truth if len(devices) == 1 else _with_unit(truth, wanted.unit)
@@ -285,12 +316,20 @@ def simulate(
         click.echo(f"line: {endpoint.statistics}", err=True)
 
 
-def _given_stamped(devices: tuple[Wanted, ...], stamped: dict[str, Any]) -> dict[str, Any]:
+def _own_arguments(
+    devices: tuple[Wanted, ...],
+    byte_order: str | None,
+    sensors: dict[str, dict[str, Any]],
+    stamped: dict[str, Any],
+) -> dict[str, dict[str, Any]]:
+    """What the options of one profile give its simulators, by profile."""
+    if sensors and all(wanted.profile != _MPA for wanted in devices):
+        raise click.UsageError(f"--sensor is for {_MPA} only")
     given = {name: value for name, value in stamped.items() if value is not None}
     if given and all(wanted.profile != _STAMPED for wanted in devices):
         text = f"--rate, --clock-offset, --clock-drift and --quirk are for {_STAMPED} only"
         raise click.UsageError(text)
-    return given
+    return {_STAMPED: given, _MPA: sensors, _MSX: {"byte_order": byte_order or "big"}}
 
 
 def _network(

@@ -8,12 +8,18 @@ point that it leaves open is decided. Line settings and the time an answer may t
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
 
 from roclog.register_map import RegisterMap, SerialDefaults, StampedInputs, StampRules
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+_LISTS: Final = (
+    'the configuration says which inputs there are: points = [ { kind = "discrete_inputs", '
+    "stamp = 7, address = 196, count = 22 } ]"
+)
 
 
 def register_map(lists: Iterable[StampedInputs], rules: StampRules) -> RegisterMap:
@@ -30,3 +36,7 @@ def register_map(lists: Iterable[StampedInputs], rules: StampRules) -> RegisterM
         stamped=tuple(lists),
         stamp_rules=rules,
     )
+
+
+OVERVIEW: Final = replace(register_map((), StampRules()), notes=(_LISTS,))
+"""What is known before the inputs are."""

@@ -31,7 +31,7 @@ from roclog.register_map import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
 CHANNELS: Final[Mapping[str, int]] = MappingProxyType({"channel_1": 0, "channel_2": 3})
 """Input register of the status, by channel, where it is known."""
@@ -105,6 +105,10 @@ def mpa_48(sensors: Mapping[str, str], addresses: Mapping[str, int] | None = Non
     problems = [text for _, text in find_problems(sensors, given)]
     if problems:
         raise RegisterMapError("mpa-48", problems)
+    return _register_map(_channel(name, sensors[name], places[name]) for name in sensors)
+
+
+def _register_map(channels: Iterable[Block], notes: tuple[str, ...] = ()) -> RegisterMap:
     return RegisterMap(
         name="mpa-48",
         title="Insite IG MPA-48 analyser",
@@ -112,7 +116,8 @@ def mpa_48(sensors: Mapping[str, str], addresses: Mapping[str, int] | None = Non
         unit=1,
         serial=SerialDefaults(baudrate=9600, is_documented=False),
         answer_limit=1_000_000_000,
-        samples=(RELAYS, *(_channel(name, sensors[name], places[name]) for name in sensors)),
+        samples=(RELAYS, *channels),
+        notes=notes,
     )
 
 
@@ -156,3 +161,16 @@ def _channel(name: str, model: str, address: int) -> Block:
         title=f"{name.replace('_', ' ').capitalize()}: {model}, {sensor.title}",
         points=(status, *sensor.points),
     )
+
+
+_NOTES: Final = """\
+the configuration says which model is on which channel: sensors = { channel_1 = "model-15" }
+each model is shown as on channel_1, at registers 0-2, stated only for the sibling Model 2000CE
+on channel_2 each model is at registers 3-5
+where other channels are is not documented and must be given: addresses = { channel_3 = ... }
+the line is 8N1 as documented; baud rate and unit as delivered are not"""
+OVERVIEW: Final = _register_map(
+    (_channel("channel_1", model, CHANNELS["channel_1"]) for model in SENSORS),
+    notes=tuple(_NOTES.splitlines()),
+)
+"""Every model, each as on channel 1."""

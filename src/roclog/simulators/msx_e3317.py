@@ -15,10 +15,12 @@ from __future__ import annotations
 import struct
 import time
 from random import Random
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, TextIO
+
+from roclog.simulators.truth import Truth
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 ByteOrder = Literal["big", "little"]
 
@@ -49,6 +51,7 @@ class SimulatedMsxE3317:
             the MBAP header.
         channels: Pressure channels, at most 16.
         started_at_ns: The module's clock at the start, UTC; the host's when not given.
+        truth: Gets what the answers tell, as of Truth; not of functions with text.
 
     Raises:
         ValueError: An argument is none of the above.
@@ -62,6 +65,7 @@ class SimulatedMsxE3317:
         byte_order: ByteOrder = "big",
         channels: int = 8,
         started_at_ns: int | None = None,
+        truth: TextIO | None = None,
     ) -> None:
         if unit not in (0, 1):
             raise ValueError(f"unit {unit} is neither 0 nor 1")
@@ -75,17 +79,19 @@ class SimulatedMsxE3317:
         self._channels = channels
         self._now_ns = time.time_ns() if started_at_ns is None else started_at_ns
         self._elapsed_ns = 0
-        functions: dict[tuple[int, ...], Callable[[], bytes]] = {
-            (0, 10000): lambda: bytes(108),
-            (1, 10200): lambda: b"MSX-E3317".ljust(200, b"\0"),
-            (2, 10500): self._time,
-            (3, 10550): self._customer,
-            (21000,): lambda: self._pack("I", self._channels),
-            (21150,): self._calibration,
-            (15000,): lambda: self._pack("I", self._channels),
-            (15050,): self._channels_info,
+        self._truth = Truth(truth)
+        number = {"channels": channels}
+        functions: dict[tuple[int, ...], tuple[int, Callable[[], bytes]]] = {
+            (0, 10000): (54, lambda: bytes(108)),
+            (1, 10200): (100, lambda: b"MSX-E3317".ljust(200, b"\0")),
+            (2, 10500): (4, self._time),
+            (3, 10550): (16, self._customer),
+            (21000,): (2, lambda: self._numbers("pressure_channels", "I", number)),
+            (21150,): (8, self._calibration),
+            (15000,): (2, lambda: self._numbers("acquisition_channels", "I", number)),
+            (15050,): (96, self._channels_info),
         }
-        self._functions = {register: tell for keys, tell in functions.items() for register in keys}
+        self._functions = {register: each for keys, each in functions.items() for register in keys}
 
     @property
     def unit(self) -> int:
@@ -113,18 +119,24 @@ class SimulatedMsxE3317:
         register, words = struct.unpack(f"{self._mark}HH", pdu[1:])
         if register not in self._functions:
             return bytes((function | 0x80, ILLEGAL_DATA_ADDRESS))
-        payload = self._functions[register]()
-        if len(payload) != 2 * words:
+        expected, call = self._functions[register]
+        if words != expected:
             return bytes((function | 0x80, ILLEGAL_DATA_VALUE))
+        payload = call()
         count = "B" if register >= FIRST_WITH_SHORT_COUNT else "H"
         return bytes((function,)) + self._pack(count, len(payload)) + payload
 
     def _pack(self, layout: str, *values: Any) -> bytes:
         return struct.pack(self._mark + layout, *values)
 
+    def _numbers(self, block: str, layout: str, values: Mapping[str, float]) -> bytes:
+        self._truth.tell((block, name, repr(value)) for name, value in values.items())
+        return self._pack(layout, *values.values())
+
     def _time(self) -> bytes:
         seconds, nanoseconds = divmod(self._now_ns, NS_PER_S)
-        return self._pack("II", seconds, nanoseconds // 1000)
+        told = {"seconds": seconds, "microseconds": nanoseconds // 1000}
+        return self._numbers("clock", "II", told)
 
     def _customer(self) -> bytes:
         return Random(f"msx-e3317 customer {self._seed}").randbytes(32)
@@ -136,19 +148,24 @@ class SimulatedMsxE3317:
         reference_bar = STEPS_BAR[int(step)]
         noise = Random(f"msx-e3317 noise {self._seed} {self._elapsed_ns}").gauss(0, 20)
         digital = round(reference_bar / STEPS_BAR[-1] * FULL_SCALE + noise)
-        return self._pack(
-            "IIfI",
-            in_step_s < SETTLING_S,
-            int(channel) % self._channels,
-            reference_bar,
-            min(max(digital, 0), FULL_SCALE),
-        )
+        told = {
+            "status": int(in_step_s < SETTLING_S),
+            "channel": int(channel) % self._channels,
+            "reference": reference_bar,
+            "digital_value": min(max(digital, 0), FULL_SCALE),
+        }
+        return self._numbers("calibration_status", "IIfI", told)
 
     def _channels_info(self) -> bytes:
-        used = range(self._channels)
         empty = [0] * (PLACES - self._channels)
-        types = [1 for _ in used]
-        positions = [place // PER_POSITION for place in used]
-        indices = [place % PER_POSITION for place in used]
-        arrays = (types, positions, indices)
-        return b"".join(self._pack(f"{PLACES}I", *array, *empty) for array in arrays)
+        columns: dict[str, Callable[[int], int]] = {
+            "type": lambda _: 1,
+            "hardware_position": lambda place: place // PER_POSITION,
+            "channel_index": lambda place: place % PER_POSITION,
+        }
+        told = {
+            f"{name}_{place + 1}": number
+            for name, tell in columns.items()
+            for place, number in enumerate([*map(tell, range(self._channels)), *empty])
+        }
+        return self._numbers("channels_info", f"{len(told)}I", told)

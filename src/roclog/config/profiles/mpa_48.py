@@ -26,7 +26,7 @@ _Sensors = Annotated[
 _Addresses = Annotated[
     dict[str, int],
     Meta(
-        title="a table of channel and register, like { channel_3 = 6 }",
+        title="a table of channel and register, like { channel_3 = 40 }",
         description="Input register of the status; needed for channels other than 1 and 2",
     ),
 ]
