@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roclog.modbus.bits import ReadBits
 from roclog.modbus.dialect import MSX_E
 from roclog.modbus.functions import ReadFunction
 from roclog.modbus.request import ReadRegisters
-from roclog.register_map import Block, Table
-from roclog.request_plan import plan_requests
+from roclog.register_map import Block, ClearOnRead, Table
+from roclog.request_plan import flag_request, plan_requests
 
 if TYPE_CHECKING:
     from random import Random
@@ -50,6 +51,40 @@ def test_a_hole_is_not_read() -> None:
 
 def test_a_large_block_is_split_at_the_limit_of_an_answer() -> None:
     assert spans([block(100, 300)]) == [(3, 100, 125), (3, 225, 125), (3, 350, 50)]
+
+
+def test_more_bits_than_an_answer_has_fill_the_octets_of_all_but_the_last() -> None:
+    fetches = plan_requests([block(7, 4005, table=Table.COILS)])
+    requests = [ReadBits(1, 7, 2000), ReadBits(1, 2007, 2000), ReadBits(1, 4007, 5)]
+    assert [fetch.request for fetch in fetches] == requests
+    parts = [(part.start, part.stop) for fetch in fetches for part in fetch.parts]
+    assert parts == [(2, 252), (2, 252), (2, 3)]
+
+
+def test_a_flag_outside_its_block_is_a_register_or_a_bit() -> None:
+    flag = ClearOnRead(table=Table.HOLDING_REGISTERS, address=2)
+    assert flag_request(flag) == ReadRegisters(3, 2, 1)
+    assert flag_request(replace(flag, table=Table.DISCRETE_INPUTS)) == ReadBits(2, 2, 1)
+
+
+def test_an_odd_structure_is_asked_for_in_words_and_comes_whole() -> None:
+    one = Block(
+        name="odd",
+        table=Table.HOLDING_REGISTERS,
+        address=15450,
+        count=133,
+        points=(),
+        packed=True,
+    )
+    (fetch,) = plan_requests([one], MSX_E)
+    assert fetch.request.pdu.hex(" ") == "03 3c 5a 00 42"
+    assert fetch.request.head == b"\x03\x85"
+    (part,) = fetch.parts
+    assert (part.start, part.stop) == (2, 135)
+    (fetch,) = plan_requests([replace(one, address=103)], MSX_E)
+    assert fetch.request.head == b"\x03\x00\x85"
+    (part,) = fetch.parts
+    assert (part.start, part.stop) == (3, 136)
 
 
 def test_a_block_that_fits_is_not_cut() -> None:

@@ -11,11 +11,10 @@ from roclog.connect import make_bus
 from roclog.decode import Decoded, decode
 from roclog.errors import DeviceError, ExceptionAnswer
 from roclog.modbus.stamped import Layout, parse, split
+from roclog.polling.facts import read_words
 from roclog.polling.refusal import described
 from roclog.polling.stamped_table import oldest_baseline, stamp_decoder
 from roclog.register_map import ClearOnRead
-from roclog.request_plan import read_request
-from roclog.word_types import block_words
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
@@ -135,25 +134,26 @@ async def _probe_device(bus: Bus, device: Device) -> ProbeResult:
         read = await _read(bus, device, harmless[0])
         texts = [] if read.decoded is None else [v for v in read.decoded.values if v]
         said = [v.strip() for v in texts if isinstance(v, str) and v.strip()]
-        ok, text = read.decoded is not None, read.problem or ", ".join(said)
+        text = read.problem or ", ".join(said) or f"block {read.block.name} was read"
+        ok = read.decoded is not None
         return ProbeResult(device.name, ok=ok, text=text)
     for inputs in device.profile.stamped[:1]:
         request = split(inputs.mei, inputs.address, inputs.count)[0]
         stamped = await _read_stamped(bus, device, inputs, request)
-        return ProbeResult(device.name, ok=not stamped.problem, text=stamped.problem)
+        what = f"{stamped.table.replace('_', ' ')} {stamped.first} to {stamped.last}"
+        text = stamped.problem or f"{what} were read"
+        return ProbeResult(device.name, ok=not stamped.problem, text=text)
     return ProbeResult(device.name, ok=False, text="nothing can be read without clearing it")
 
 
 async def _read(bus: Bus, device: Device, block: Block) -> BlockRead:
     if isinstance(block.trigger, ClearOnRead):
         return BlockRead(block, (), None, "not read, since a read clears it: only `record` does")
-    request, dialect = read_request(block, device.profile.dialect), device.profile.dialect
     try:
-        answer = await bus.transact(device.unit, request, Tally())
+        registers = await read_words(block, device, bus, Tally())
     except ExceptionAnswer as refusal:
-        text = await described(refusal, device.unit, bus, Tally(), dialect)
+        text = await described(refusal, device.unit, bus, Tally(), device.profile.dialect)
         return BlockRead(block, (), None, text)
     except DeviceError as error:
         return BlockRead(block, (), None, str(error))
-    registers = block_words(block, answer.pdu[len(request.head) :])
     return BlockRead(block, registers, decode(block, registers, device.word_order))

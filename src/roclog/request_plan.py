@@ -14,7 +14,7 @@ from roclog.modbus.dialect import STANDARD
 from roclog.modbus.functions import ReadFunction
 from roclog.modbus.request import ReadRegisters
 from roclog.modbus.stamped import split
-from roclog.register_map import MAX_READ_REGISTERS, ClearOnRead
+from roclog.register_map import MAX_READ_BITS, MAX_READ_REGISTERS, ClearOnRead
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -51,9 +51,16 @@ class Fetch:
 def read_request(block: Block, dialect: Dialect = STANDARD) -> Request:
     """One request for a whole block; its data follow the head of the answer."""
     if dialect.has_functions:
-        return ReadFunction(block.address, block.count, dialect=dialect)
+        odd = block.octets if block.octets % 2 else None
+        return ReadFunction(block.address, block.octets // 2, odd, dialect)
     kind = ReadBits if block.table.has_bits else ReadRegisters
     return kind(block.table.read_function, block.address, block.count)
+
+
+def flag_request(flag: ClearOnRead) -> Request:
+    """Asks for a flag that lies outside its block."""
+    kind = ReadBits if flag.table.has_bits else ReadRegisters
+    return kind(flag.table.read_function, flag.address, 1)
 
 
 def plan_requests(blocks: Sequence[Block], dialect: Dialect = STANDARD) -> tuple[Fetch, ...]:
@@ -65,7 +72,7 @@ def plan_requests(blocks: Sequence[Block], dialect: Dialect = STANDARD) -> tuple
     numbered = list(enumerate(blocks))
     if dialect.has_functions:
         return tuple(_called(index, block, dialect) for index, block in numbered)
-    fetches = [_whole(*pair) for pair in numbered if _is_whole(pair[1])]
+    fetches = [fetch for pair in numbered if _is_whole(pair[1]) for fetch in _whole(*pair)]
     loose = sorted(
         (pair for pair in numbered if not _is_whole(pair[1])),
         key=lambda pair: (pair[1].table, pair[1].address),
@@ -99,20 +106,24 @@ def requests_by_period(profile: RegisterMap, poll: int) -> dict[int, list[Reques
         requests = found.setdefault(period, [])
         for fetch in plan_requests(group, profile.dialect):
             if fetch.gate is not None:
-                requests.append(
-                    ReadRegisters(fetch.gate.table.read_function, fetch.gate.address, 1)
-                )
+                requests.append(flag_request(fetch.gate))
             requests.append(fetch.request)
     for inputs in profile.stamped:
         found.setdefault(poll, []).extend(split(inputs.mei, inputs.address, inputs.count))
     return found
 
 
-def _whole(index: int, block: Block) -> Fetch:
+def _whole(index: int, block: Block) -> list[Fetch]:
+    """One request, but for more bits than an answer has: those fill the octets of all but one."""
+    if block.table.has_bits and block.count > MAX_READ_BITS:
+        function, end = block.table.read_function, block.address + block.count
+        starts = range(block.address, end, MAX_READ_BITS)
+        pieces = (ReadBits(function, at, min(MAX_READ_BITS, end - at)) for at in starts)
+        return [Fetch(piece, (Part(index, _HEADER, piece.answer_size),)) for piece in pieces]
     gate = block.trigger if isinstance(block.trigger, ClearOnRead) else None
     if gate is not None and gate.offset_in(block) is not None:
         gate = None
-    return Fetch(read_request(block), (Part(index, _HEADER, _HEADER + block.octets),), gate)
+    return [Fetch(read_request(block), (Part(index, _HEADER, _HEADER + block.octets),), gate)]
 
 
 def _runs(pairs: Iterable[tuple[int, Block]]) -> list[list[tuple[int, Block]]]:

@@ -120,6 +120,25 @@ def test_bus_load_adds_up(load_text: Load) -> None:
     assert load.expected == pytest.approx(6 * 0.08344, abs=1e-4)
 
 
+def test_what_needs_several_requests_and_flags_in_coils_are_counted(load_text: Load) -> None:
+    """Facts of 200 registers, 4000 coils, and a coil that says that there is something to read."""
+    large = "count = 200\natomic = false\npoints = [{ name = 'a', offset = 0, type = 'uint16' }]\n"
+    device = "[devices.tank]\nprofile = 'registers'\nconnection = 'bus'\nunit = 9\n"
+    block = "[[devices.tank.blocks]]\ntable = '{}'\naddress = 0\nname = '{}'\n"
+    facts = block.format("holding_registers", "facts") + "read = 'once'\n" + large
+    coils = block.format("coils", "coils") + large.replace("200", "4000").replace("uint16", "bit")
+    gated = block.format("input_registers", "gated") + (
+        "trigger = { clear_on_read = { table = 'coils', address = 5000 } }\n"
+        "points = [{ name = 'a', offset = 0, type = 'uint16' }]\n"
+    )
+    slow = f"{RTU}timeout = '60ms'\n{device}{coils}{facts}{gated}"
+    settings = load_text(slow)
+    (load,) = bus_loads(settings)
+    assert load.shares[0].turnaround == 40_000_000  # two for the coils, the flag, its block
+    longest = next(str(problem) for problem in warnings(settings) if "longest" in str(problem))
+    assert "275625.085us" in longest  # 255 characters and 10 ms, of 125 registers
+
+
 def test_no_bus_load_on_a_network(load_text: Load) -> None:
     assert bus_loads(load_text(TCP + ROC)) == []
     assert bus_loads(load_text(TCP.replace("tcp", "udp") + ROC)) == []

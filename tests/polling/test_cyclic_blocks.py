@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from bus_fakes import START, VirtualClock, answer_to, make, now, run
+from bus_fakes import START, FakeLink, VirtualClock, answer_to, make, now, run
 from wire import rtu_frame
 
 from roclog.bus.tally import Tally
@@ -18,7 +18,16 @@ from roclog.errors import NoAnswer, StorageError
 from roclog.outbox import CommitGroup, Outbox
 from roclog.polling.clock_watch import ClockWatch
 from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
-from roclog.register_map import Block, Change, Point, Table, WordOrder, WordType
+from roclog.register_map import (
+    Block,
+    Change,
+    ClearOnRead,
+    Counter,
+    Point,
+    Table,
+    WordOrder,
+    WordType,
+)
 from roclog.request_plan import read_request
 from roclog.samples import SampleMaker
 from roclog.schema import GAP, Origin, Reason, read_signature
@@ -29,6 +38,7 @@ if TYPE_CHECKING:
 
     from roclog.bus.bus import Bus
     from roclog.recording.entries import Entry
+    from roclog.register_map import Trigger
 
 SECOND = 10**9
 UNIT = 138
@@ -84,7 +94,7 @@ class Disk:
         for entry in self.committed:
             values = read_signature(entry.data) if entry.topic == topic else None
             if values is not None:
-                assert values["origin"] == Origin.CYCLIC
+                assert values["origin"] in (Origin.CYCLIC, Origin.FLAG)
                 found.append((values["seq"], values["raw"].hex()))
         return found
 
@@ -95,12 +105,17 @@ class Disk:
 
 
 def poller(
-    bus: Bus, disk: Disk, *blocks: Block, seq: int = 0, read_until: int = 0
+    bus: Bus,
+    disk: Disk,
+    *blocks: Block,
+    seq: int = 0,
+    read_until: int = 0,
+    cycle: int | None = None,
 ) -> tuple[CyclicBlocks, CommitGroup]:
     group = CommitGroup(disk)
     outbox = Outbox("flow", disk, VirtualClock(), group)
     makers = [SampleMaker("flow", "registers", b, WordOrder.ABCD, b"e" * 16) for b in blocks]
-    members = [CyclicBlock(m, SECOND, Known(seq), read_until) for m in makers]
+    members = [CyclicBlock(m, SECOND, Known(seq), read_until, cycle=cycle) for m in makers]
     made = CyclicBlocks(
         unit=UNIT,
         bus=bus,
@@ -159,7 +174,8 @@ def test_a_refused_block_keeps_no_other_from_being_read() -> None:
         await group.finish()
         assert disk.samples("/flow/a") == []
         assert [seq for seq, _ in disk.samples("/flow/b")] == [1, 2, 3]
-        assert len(disk.notes) == 1  # told once, asked every time
+        told = [entry for entry in disk.committed + disk.notes if entry.topic == "/log"]
+        assert len(told) == 1  # told once, asked every time
         assert sum(adu[3] == 100 for _, adu in link.sent) == 3
         assert len(link.sent) == 6  # nothing else is asked
 
@@ -262,5 +278,175 @@ def test_one_commit_for_all_devices() -> None:
         await group.finish()
         assert disk.commits == 1
         assert len(disk.samples("/flow/a")) == 5
+
+    run(main())
+
+
+@dataclass
+class Registers:
+    """The other end of a line: registers 0 to 9 and a coil, as a test sets them."""
+
+    link: FakeLink
+    words: list[int] = field(default_factory=lambda: [0] * 10)
+    coil: int = 0
+    is_silent: bool = False
+
+    def __post_init__(self) -> None:
+        self.link.on_send = self._take
+
+    def _take(self, adu: bytes) -> None:
+        first, count = int.from_bytes(adu[2:4]), int.from_bytes(adu[4:6])
+        if adu[1] == 1:
+            self.link.say(
+                rtu_frame(UNIT, bytes([1, 1, 0xFE | self.coil]))
+            )  # spare bits say nothing
+        elif not self.is_silent:
+            data = b"".join(word.to_bytes(2) for word in self.words[first : first + count])
+            self.link.say(rtu_frame(UNIT, bytes([adu[1], len(data)]) + data))
+
+
+def triggered(trigger: Trigger, count: int = 2) -> Block:
+    return dataclasses.replace(block("a", 0, count), trigger=trigger)
+
+
+async def next_second(seconds: int = 1) -> None:
+    await asyncio.sleep(((START - now()) % SECOND + (seconds - 1) * SECOND) / SECOND)
+
+
+FLAG_IN_COIL = ClearOnRead(table=Table.COILS, address=5)
+FLAG_IN_BLOCK = ClearOnRead(table=Table.HOLDING_REGISTERS, address=1)
+
+
+def test_a_flag_elsewhere_that_is_down_is_no_gap() -> None:
+    """The block is not read then; all the same it is known that there was nothing new in it."""
+
+    async def main() -> None:
+        link, bus = make()
+        device, disk = Registers(link, words=[7, 0]), Disk()
+        blocks, group = poller(bus, disk, triggered(FLAG_IN_COIL))
+        for coil in (1, 0, 0, 0, 1):
+            device.coil = coil
+            await blocks.turn(now())
+            await next_second()
+        await group.finish()
+        assert [seq for seq, _ in disk.samples("/flow/a")] == [1, 2]
+        assert disk.gaps() == []
+        assert [adu[1] for _, adu in link.sent] == [1, 3, 1, 1, 1, 1, 3]
+
+    run(main())
+
+
+@pytest.mark.parametrize("trigger", [FLAG_IN_COIL, FLAG_IN_BLOCK])
+def test_a_read_that_clears_and_is_not_answered_is_a_gap_however_short(trigger: Trigger) -> None:
+    """Its turn was late, so that by the time alone none was left out."""
+
+    async def main() -> None:
+        link, bus = make()
+        device, disk = Registers(link, words=[7, 1], coil=1), Disk()
+        blocks, group = poller(bus, disk, triggered(trigger))
+        await asyncio.sleep(0.6)
+        await blocks.turn(START)
+        await next_second()
+        device.is_silent = True
+        with pytest.raises(NoAnswer):
+            await blocks.turn(now())
+        device.is_silent, device.coil, device.words[1] = False, 0, 0
+        await asyncio.sleep(0.1)
+        await blocks.turn(now())
+        await next_second()
+        await blocks.turn(now())
+        await group.finish()
+        assert [seq for seq, _ in disk.samples("/flow/a")] == [1]
+        (gap,) = [GAP.unpack(e.data) for e in disk.committed if e.topic.endswith("/gap")]
+        assert gap is not None
+        assert (gap["reason"], gap["expected"], gap["possible"]) == (Reason.UNREAD, 0, True)
+
+    run(main())
+
+
+def test_the_very_first_read_that_clears_may_have_taken_a_sample_too() -> None:
+    async def main() -> None:
+        link, bus = make()
+        device, disk = Registers(link, words=[7, 1], is_silent=True), Disk()
+        blocks, group = poller(bus, disk, triggered(FLAG_IN_BLOCK))
+        began = VirtualClock().now().utc
+        with pytest.raises(NoAnswer):
+            await blocks.turn(now())
+        device.is_silent = False
+        await next_second()
+        await blocks.turn(now())
+        await group.finish()
+        gap = GAP.unpack(disk.committed[0].data)
+        assert gap is not None
+        assert (gap["from"], gap["expected"], gap["possible"]) == (began, 0, True)
+        assert [seq for seq, _ in disk.samples("/flow/a")] == [1]
+
+    run(main())
+
+
+@pytest.mark.parametrize(("cycle", "possible", "missed"), [(None, 0, 25_536), (SECOND, 1, 1)])
+def test_a_counter_cannot_grow_by_more_than_the_time_allows(
+    cycle: int | None, possible: int, missed: int
+) -> None:
+    """A device of 16 bits that begins again at 0 looks as if it had missed thousands."""
+
+    async def main() -> None:
+        link, bus = make()
+        device, disk = Registers(link), Disk()
+        blocks, group = poller(bus, disk, triggered(Counter(point="first")), cycle=cycle)
+        for number in (39_999, 40_000, 1):
+            device.words[0] = number
+            await blocks.turn(now())
+            await next_second()
+        await group.finish()
+        assert [seq for seq, _ in disk.samples("/flow/a")] == [1, 2, 3]
+        (gap,) = [GAP.unpack(e.data) for e in disk.committed if e.topic.endswith("/gap")]
+        assert gap is not None
+        assert (gap["possible"], gap["expected"]) == (bool(possible), missed)
+
+    run(main())
+
+
+def test_a_block_that_is_never_answered_keeps_no_other_from_being_read() -> None:
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: None if adu[3] == 50 else link.say(answer_to(adu))
+        disk = Disk()
+        dead, large = block("dead", 50, 1), block("large", 100, 130, atomic=False)
+        blocks, group = poller(bus, disk, dead, block("b", 0, 1), large)
+        for _ in range(4):
+            with pytest.raises(NoAnswer):
+                await blocks.turn(now())
+            await next_second(2)
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        for _ in range(2):
+            await blocks.turn(now())
+            await next_second()
+        await group.finish()
+        assert [len(disk.samples(f"/flow/{name}")) for name in ("dead", "b", "large")] == [2, 5, 5]
+        whole = [50, 0, 100, 225]
+        order = [adu[3] for _, adu in link.sent]
+        assert order == [50, *[0, 100, 225, 50] * 3, 0, 100, 225, 50, *whole]
+
+    run(main())
+
+
+def test_a_block_of_which_a_part_is_lost_is_begun_anew() -> None:
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: None if adu[3] == 125 else link.say(answer_to(adu))
+        disk = Disk()
+        large, other = block("large", 0, 300, atomic=False), block("z", 400, 1, atomic=False)
+        blocks, group = poller(bus, disk, large, other)
+        for _ in range(2):
+            with pytest.raises(NoAnswer):
+                await blocks.turn(now())
+            await next_second(2)
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        await blocks.turn(now())
+        await group.finish()
+        (sample,) = disk.samples("/flow/large")
+        assert sample == (1, b"".join(n.to_bytes(2) for n in range(300)).hex())
+        assert len(disk.samples("/flow/z")) == 2
 
     run(main())

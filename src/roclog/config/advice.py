@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from roclog.config.leaves import shown
+from roclog.config.profiles import TABLES
 from roclog.errors import Problem
+from roclog.plugins import plugins_named
 from roclog.quantities import format_duration
-from roclog.request_plan import read_request, requests_by_period
+from roclog.request_plan import plan_requests, requests_by_period
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -108,6 +110,13 @@ def warnings(settings: Settings) -> list[Problem]:
         found += [Problem(f"{key}{k}", text) for k, text in _connection_warnings(connection, users)]
     for device in settings.devices.values():
         found += [Problem(f"devices.{device.name}.poll", text) for text in _poll_warnings(device)]
+        timeout = settings.connections[device.connection].timeout
+        found += [
+            Problem(f"devices.{device.name}.functions", text)
+            for text in _repeat_warnings(device, timeout)
+        ]
+        key = f"devices.{device.name}.profile"
+        found += [Problem(key, text) for text in _profile_warnings(device)]
     return found
 
 
@@ -172,8 +181,15 @@ def _name_that_stays(port: str) -> str | None:
 def _longest_answer(profile: RegisterMap) -> int:
     """Characters of a frame."""
     on_schedule = chain(*requests_by_period(profile, 1).values())
-    requests = [*on_schedule, *(read_request(block) for block in profile.facts)]
+    facts = [f for block in profile.facts for f in plan_requests([block], profile.dialect)]
+    requests = [*on_schedule, *(fetch.request for fetch in facts)]
     return _FRAME + max((request.answer_size for request in requests), default=0)
+
+
+def _profile_warnings(device: Device) -> Iterator[str]:
+    if device.profile.name in TABLES:
+        for plugin in plugins_named(device.profile.name):
+            yield f"{plugin}: has this name too; the built-in profile is used"
 
 
 def _poll_warnings(device: Device) -> Iterator[str]:
@@ -190,6 +206,16 @@ def _poll_warnings(device: Device) -> Iterator[str]:
             f"{device.profile.name} can have, {format_duration(shortest)}: where the device is set "
             "so, samples will be lost"
         )
+
+
+def _repeat_warnings(device: Device, timeout: int) -> Iterator[str]:
+    for block in device.profile.samples:
+        period = block.period or device.poll
+        if block.repeatable and 2 * timeout > period:
+            yield (
+                f"{block.name} is repeatable, but will not be called again: two timeouts of "
+                f"{format_duration(timeout)} do not fit {format_duration(period)}"
+            )
 
 
 def _shortest_cycle(profile: RegisterMap) -> int | None:

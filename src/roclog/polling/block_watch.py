@@ -47,8 +47,11 @@ class BlockWatch:
         """Alarms and temperature may move without a new sample."""
         values = self._maker.values(reading)
         for point in self._maker.block.points:
-            moved = changed & set(range(point.offset, point.offset + point.size))
+            size = self._maker.block.size_of(point)
+            moved = changed & set(range(point.offset, point.offset + size))
             if moved and point.name not in self._told:
                 self._told.add(point.name)
-                text = f"{point.name} is {values[point.name]} without a new sample"
+                value = values[point.name]
+                shown = value.hex(" ") if isinstance(value, bytes) else value
+                text = f"{point.name} is {shown} without a new sample"
                 self._outbox.event("info", "live", text)

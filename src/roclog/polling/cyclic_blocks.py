@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections import Counter as Counts
+from typing import TYPE_CHECKING, Final
 
-from roclog.errors import ExceptionAnswer
+from roclog.errors import DeviceError, ExceptionAnswer, NoAnswer, WrongAnswer
 from roclog.modbus.dialect import STANDARD
-from roclog.modbus.request import ReadRegisters, words
 from roclog.polling.refusal import described
-from roclog.register_map import Counter
-from roclog.request_plan import plan_requests
+from roclog.register_map import ClearOnRead, Counter
+from roclog.request_plan import flag_request, plan_requests
 from roclog.samples import Reading
 from roclog.schema import Reason
-from roclog.triggers import Known, is_raised, judge
+from roclog.triggers import Finding, Known, is_raised, judge
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,10 +24,12 @@ if TYPE_CHECKING:
     from roclog.outbox import Outbox
     from roclog.polling.clock_watch import ClockWatch
     from roclog.recording.entries import Entry
-    from roclog.register_map import ClearOnRead
     from roclog.request_plan import Fetch
     from roclog.samples import SampleMaker
-    from roclog.triggers import Finding, Note
+    from roclog.triggers import Note
+
+_SHORTEST_PERCENT: Final = 95
+"""Of the time between two samples, that a device may be early by its own clock."""
 
 
 class CyclicBlock:
@@ -36,6 +38,7 @@ class CyclicBlock:
     period: nanoseconds between reads. known: what earlier runs leave; raw: octets of their last
     sample, where a trigger compares with it.
     read_until: UTC ns at which an earlier run last read the block, 0 = never.
+    cycle: nanoseconds between samples of the device, None = not known.
     """
 
     def __init__(
@@ -45,12 +48,16 @@ class CyclicBlock:
         known: Known | None = None,
         read_until: int = 0,
         raw: bytes = b"",
+        *,
+        cycle: int | None = None,
     ) -> None:
         self.maker = maker
         self._period = period
+        self._cycle = cycle
         self._known = known or Known()
         self._read_until = read_until
         self._last: Instant | None = None
+        self._lost: int | None = None
         self._raw = raw
         self._told: Note | None = None
 
@@ -66,7 +73,10 @@ class CyclicBlock:
         """
         last, self._last = self._last, answer.read
         words = self.maker.words(octets)
-        self._known, finding = judge(self.maker.block, self._known, words, self.maker.order)
+        most = self._most(last, answer.read)
+        self._known, finding = judge(
+            self.maker.block, self._known, words, self.maker.order, most=most
+        )
         self._tell_missed(finding, last, answer.read, outbox)
         if finding.note is not self._told:
             self._told = finding.note
@@ -84,10 +94,30 @@ class CyclicBlock:
         outbox.add(entry)
         return entry
 
+    def skip(self, read: Instant, outbox: Outbox) -> None:
+        """At ``read`` a flag outside the block said that there is nothing new in it."""
+        last, self._last = self._last, read
+        self._tell_missed(Finding(), last, read, outbox)
+
+    def lose(self, due: int) -> None:
+        """The answer to a read that was due at ``due`` (monotonic ns) never came.
+
+        Where a read lowers the flag it may have taken a sample with it.
+        """
+        if isinstance(self.maker.block.trigger, ClearOnRead) and self._lost is None:
+            self._lost = due
+
     def close(self, outbox: Outbox) -> None:
         """Let the next run know until when this one has read."""
         if self._last is not None:
             outbox.checkpoint(self.maker.topic, self._carry(self._last))
+
+    def _most(self, last: Instant | None, read: Instant) -> int | None:
+        """Samples that the device can have completed since the last read; None = not known."""
+        if self._cycle is None or not (last or self._read_until):
+            return None
+        since = read.monotonic - last.monotonic if last else read.utc - self._read_until
+        return max(0, since) * 100 // (self._cycle * _SHORTEST_PERCENT) + 1
 
     def _tell_missed(
         self, finding: Finding, last: Instant | None, read: Instant, outbox: Outbox
@@ -106,14 +136,18 @@ class CyclicBlock:
                 possible=finding.possible,
             )
             outbox.add(gap)
+        lost, self._lost = self._lost, None
         if last is not None:
             unread = (read.utc - since + self._period // 2) // self._period - 1
-            if unread > 0 and not counts:
+            if (unread > 0 or lost is not None) and not counts:
                 outbox.add(self._unread(since, read.utc, unread, Reason.UNREAD))
         elif self._read_until and not counts:
             since = min(self._read_until, read.utc)
             unread = (read.utc - since) // self._period
             outbox.add(self._unread(since, read.utc, unread, Reason.DOWNTIME))
+        elif lost is not None:
+            since = min(read.utc - (read.monotonic - lost), read.utc)
+            outbox.add(self._unread(since, read.utc, 1, Reason.UNREAD))
 
     def _unread(self, since: int, until: int, count: int, reason: Reason) -> Entry:
         """Every read is a sample, or how many samples there were between two reads is not known."""
@@ -150,8 +184,10 @@ class CyclicBlocks:
         self._clock_watch = clock_watch
         self._dialect = dialect
         self._plan = plan_requests([block.maker.block for block in blocks], dialect)
+        self._first = 0
         self._halves: dict[int, tuple[Instant, bytes]] = {}
         self._refused: set[int] = set()
+        self._wrong: Counts[int] = Counts()
 
     @property
     def samples(self) -> int:
@@ -160,26 +196,58 @@ class CyclicBlocks:
     async def turn(self, due: int) -> None:
         """Read every block once; one that the device refuses keeps no other from being read.
 
+        Nor does a function whose answer is wrong: its layout may be.
+
         Raises:
-            DeviceError: no answer, or a wrong one; the blocks read before it are kept.
+            DeviceError: no answer, or a wrong one and no right one; what was read before is kept,
+                and the next turn begins behind it, so that it keeps no other from being read.
         """
         self._tell_given_up()
         self._halves.clear()
+        trouble: WrongAnswer | None = None
+        is_fine = False
+        numbers, begin = range(len(self._plan)), self._first
+        self._first = 0
         try:
-            for number, fetch in enumerate(self._plan):
+            for number in (*numbers[begin:], *numbers[:begin]):
                 try:
-                    await self._fetch(fetch, due)
+                    await self._fetch(self._plan[number], due)
                 except ExceptionAnswer as refusal:
                     await self._tell_refusal(number, refusal)
+                except WrongAnswer as wrong:
+                    if not self._dialect.has_functions:
+                        self._first = self._behind(number)
+                        raise
+                    self._tell_wrong(number, wrong)
+                    trouble = wrong
+                except DeviceError:
+                    self._first = self._behind(number)
+                    raise
                 else:
                     self._tell_acceptance(number)
+                    is_fine = True
         finally:
             self.outbox.flush_soon()
+        if trouble is not None and not is_fine:
+            raise trouble
+
+    def _behind(self, number: int) -> int:
+        """The next request of the plan that does not go on with a block, else the first one."""
+        blocks = [{part.block for part in fetch.parts} for fetch in self._plan]
+        later = range(number + 1, len(blocks))
+        return next((n for n in later if not blocks[n] & blocks[n - 1]), 0)
 
     async def _fetch(self, fetch: Fetch, due: int) -> None:
-        if fetch.gate is not None and not await self._is_raised(fetch.gate, due):
+        if fetch.gate is not None and not await self._is_raised(fetch, fetch.gate, due):
             return
-        answer = await self._bus.transact(self._unit, fetch.request, self._tally, due=due)
+        try:
+            answer = await self._ask(fetch, due)
+        except ExceptionAnswer:
+            raise
+        except DeviceError:
+            for part in fetch.parts:
+                self._blocks[part.block].lose(due)
+            raise
         for part in fetch.parts:
             block = self._blocks[part.block]
             asked, octets = self._halves.get(part.block, (answer.asked, b""))
@@ -190,16 +258,34 @@ class CyclicBlocks:
                 if block.maker.block.is_clock and entry is not None and answer.asked is asked:
                     self._follow_clock(entry, answer)
 
+    async def _ask(self, fetch: Fetch, due: int) -> Answer:
+        """Once; where the answer is lost once more, if the map allows it and its turn has time."""
+        may_repeat = (
+            all(self._blocks[part.block].maker.block.repeatable for part in fetch.parts)
+            and 2 * self._bus.timing.timeout <= self.period
+        )
+        try:
+            return await self._bus.transact(self._unit, fetch.request, self._tally, due=due)
+        except NoAnswer:
+            if not may_repeat:
+                raise
+        return await self._bus.transact(self._unit, fetch.request, self._tally, due=due)
+
     def _follow_clock(self, entry: Entry, answer: Answer) -> None:
         """The device's clock was read between request and answer."""
         if entry.publish_time != entry.log_time:
             self._clock_watch.note(entry.publish_time, answer.asked, answer.read)
 
-    async def _is_raised(self, gate: ClearOnRead, due: int) -> bool:
+    async def _is_raised(self, fetch: Fetch, gate: ClearOnRead, due: int) -> bool:
         """Whether a flag that lies outside its block says that the block is to be read."""
-        request = ReadRegisters(gate.table.read_function, gate.address, 1)
+        request = flag_request(gate)
         answer = await self._bus.transact(self._unit, request, self._tally, due=due)
-        return is_raised(gate, words(answer.pdu)[0])
+        word = int.from_bytes(answer.pdu[len(request.head) :])
+        if is_raised(gate, word & 1 if gate.table.has_bits else word):
+            return True
+        for part in fetch.parts:
+            self._blocks[part.block].skip(answer.read, self.outbox)
+        return False
 
     def close(self) -> None:
         for block in self._blocks:
@@ -218,11 +304,22 @@ class CyclicBlocks:
             text = f"{self._names(number)} refused, asked for all the same: {why}"
             self.outbox.event("warning", "refused", text)
 
+    def _tell_wrong(self, number: int, wrong: WrongAnswer) -> None:
+        """A single one is counted only; the second in a row may be for ever."""
+        self._wrong[number] += 1
+        if self._wrong[number] == 2:
+            text = f"{self._names(number)} answers in another shape than its layout: {wrong}"
+            self.outbox.event("warning", "layout", text)
+
     def _tell_acceptance(self, number: int) -> None:
+        if self._wrong.pop(number, 0) > 1:
+            self.outbox.event("info", "layout", f"{self._names(number)} answered in its layout")
         if number in self._refused:
             self._refused.discard(number)
             self.outbox.event("info", "refused", f"{self._names(number)} answered again")
 
     def _names(self, number: int) -> str:
-        names = [self._blocks[part.block].maker.block.name for part in self._plan[number].parts]
-        return f"block {' and '.join(names)}"
+        blocks = [self._blocks[part.block].maker.block for part in self._plan[number].parts]
+        if self._dialect.has_functions:
+            return " and ".join(f"function {block.address} ({block.name})" for block in blocks)
+        return f"block {' and '.join(block.name for block in blocks)}"

@@ -3,35 +3,48 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import TYPE_CHECKING, Any
 
-from roclog.decode import Value, decode, field_names
-from roclog.request_plan import read_request
+from roclog.decode import Value, decode, named_values
+from roclog.request_plan import plan_requests
 from roclog.word_types import block_words
 
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
     from roclog.bus.tally import Tally
     from roclog.config.settings import Device
-    from roclog.register_map import Block
+    from roclog.register_map import Block, Point
 
 
 async def read_facts(
     block: Block, device: Device, bus: Bus, tally: Tally, due: int
-) -> dict[str, Value]:
-    """The fields of one block by name. due: as of Bus.transact.
+) -> dict[str, Value | None]:
+    """The fields of one block by name, None = no measurement. due: as of Bus.transact.
 
     Raises:
         DeviceError: as Bus.transact.
     """
-    request = read_request(block, device.profile.dialect)
-    answer = await bus.transact(device.unit, request, tally, due=due)
-    words = block_words(block, answer.pdu[len(request.head) :])
-    decoded = decode(block, words, device.word_order)
-    return dict(zip(field_names(block), decoded.values, strict=True))
+    words = await read_words(block, device, bus, tally, due)
+    return named_values(block, decode(block, words, device.word_order))
 
 
-def device_metadata(device: Device, facts: dict[str, dict[str, Value]]) -> dict[str, str]:
+async def read_words(
+    block: Block, device: Device, bus: Bus, tally: Tally, due: int = 0
+) -> tuple[int, ...]:
+    """The words of one block, in as many requests as it needs.
+
+    Raises:
+        DeviceError: as Bus.transact.
+    """
+    octets = b""
+    for fetch in plan_requests([block], device.profile.dialect):
+        answer = await bus.transact(device.unit, fetch.request, tally, due=due)
+        octets += b"".join(answer.pdu[part.start : part.stop] for part in fetch.parts)
+    return block_words(block, octets)
+
+
+def device_metadata(device: Device, facts: dict[str, dict[str, Value | None]]) -> dict[str, str]:
     """The metadata record of a device: who it is, and its map, to read ``raw`` without roclog."""
     return {
         "profile": device.profile.name,
@@ -39,24 +52,49 @@ def device_metadata(device: Device, facts: dict[str, dict[str, Value]]) -> dict[
         "connection": device.connection,
         "word_order": device.word_order.value,
         "register_map": json.dumps([_described(block) for block in device.profile.samples]),
-        **{name: json.dumps(values) for name, values in facts.items()},
+        **{name: _as_json(values) for name, values in facts.items()},
     }
+
+
+def _as_json(values: dict[str, Value | None]) -> str:
+    """JSON has neither NaN nor infinities: null, as in the lines of an export."""
+    known = {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in values.items()
+    }
+    return json.dumps(known, allow_nan=False, default=bytes.hex)
 
 
 def _described(block: Block) -> dict[str, Any]:
     return {
         "block": block.name,
+        "title": block.title,
         "table": block.table.value,
         "address": block.address,
         "count": block.count,
-        "points": [
-            {
-                "name": point.name,
-                "offset": point.offset,
-                "type": point.type.value,
-                "scale": None if point.scale is None else str(point.scale),
-                "unit": point.unit,
-            }
-            for point in block.points
-        ],
+        "packed": block.packed,
+        "points": [_described_point(point) for point in block.points],
+    }
+
+
+def _described_point(point: Point) -> dict[str, Any]:
+    """Numbers with a point as text, since they are exact. What few points have is left out."""
+    gate = point.valid_when
+    more = {
+        "words": point.words,
+        "add": None if point.add is None else str(point.add),
+        "word_order": None if point.word_order is None else point.word_order.value,
+        "sentinels": {str(value): text for value, text in point.sentinels},
+        "valid_when": None if gate is None else {"point": gate.point, "values": gate.values},
+        "meanings": {str(value): text for value, text in point.meanings},
+        "bits": {str(bit): name for bit, name in point.bits},
+        "parts": [{"first": bit, "bits": size, "name": name} for bit, size, name in point.parts],
+    }
+    return {
+        "name": point.name,
+        "offset": point.offset,
+        "type": point.type.value,
+        "scale": None if point.scale is None else str(point.scale),
+        "unit": point.unit,
+        **{key: value for key, value in more.items() if value},
     }

@@ -33,6 +33,7 @@ class Item:
     sequence: int
     data: bytes
     values: Any
+    publish_time: int
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,8 @@ def stream(path: Path) -> Iterator[Item]:
                 assert decoder is not None, channel
                 decoders[channel.id] = decoder
             values = decoders[channel.id](record.data)
-            yield Item(channel.topic, record.log_time, record.sequence, record.data, values)
+            times = record.log_time, record.publish_time
+            yield Item(channel.topic, times[0], record.sequence, record.data, values, times[1])
 
 
 def _records(path: Path) -> Iterator[object]:
