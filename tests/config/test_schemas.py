@@ -8,7 +8,7 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from google.protobuf import descriptor_pb2
 from msgspec import Struct  # noqa: TC002 - in an annotation that runs
@@ -51,6 +51,28 @@ def test_schema_has_the_keys_of_the_tables() -> None:
     assert definitions["Rtu"]["required"] == ["transport", "port"]
     assert definitions["RtuOverTcp"]["required"] == ["transport", "host", "port"]
     assert definitions["HiacRoc"]["required"] == ["profile", "connection"]
+
+
+def test_schema_leaves_other_profiles_to_plugins() -> None:
+    """And no built-in one: its table has its own keys, and no way around them."""
+    schema = json_schema()
+    choice = schema["properties"]["devices"]["additionalProperties"]
+    arms = [arm["$ref"].rpartition("/")[2] for arm in choice["anyOf"]]
+    assert sorted(arms) == sorted(["PluginDevice", *(kind.__name__ for kind in TABLES.values())])
+    assert "discriminator" not in choice  # which would have to name every profile
+    tables = [schema["definitions"][name] for name in arms]
+    for profile in (*TABLES, "acme-flow"):
+        takers = [table for table in tables if _takes(table["properties"]["profile"], profile)]
+        assert len(takers) == 1, profile
+        assert takers[0]["additionalProperties"] is False
+        assert (takers[0]["title"] == "PluginDevice") == (profile == "acme-flow")
+    assert not any(_takes(table["properties"]["profile"], "Acme Flow") for table in tables)
+
+
+def _takes(words: dict[str, Any], profile: str) -> bool:
+    if "enum" in words:
+        return profile in words["enum"]
+    return profile not in words["not"]["enum"] and re.search(words["pattern"], profile) is not None
 
 
 def test_proto_texts_say_what_the_descriptors_say() -> None:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from roclog.decode import TimeFlag, decode, field_names
+from roclog.decode import decode, field_names
 from roclog.devices import PROFILES
 from roclog.modbus.library import crc
 from roclog.modbus.request import ReadRegisters
-from roclog.register_map_check import check_register_map
 from roclog.schema import block_fields
+from roclog.testing import check_register_map
 
 if TYPE_CHECKING:
     from roclog.register_map import Block, RegisterMap
@@ -74,20 +73,6 @@ def test_contract(register_map: RegisterMap) -> None:
     check_register_map(register_map)
     assert register_map.name in FILES, "a device needs vectors from its document"
     assert PROFILES[register_map.name] is register_map
-    for block in register_map.blocks:
-        assert all(point.title or point.bits or point.unit for point in block.points)
-
-
-@MAPS
-@pytest.mark.parametrize("word", [0, 0xFFFF, 0x8000, 0x7FFF])
-def test_blocks_of_one_word_decode(register_map: RegisterMap, word: int) -> None:
-    for block in register_map.blocks:
-        decoded = decode(block, [word] * block.count)
-        assert len(decoded.values) == len(field_names(block))
-        floats = {p.name for p in block.points if p.type.is_float}  # whose words may be NaN
-        named = zip(field_names(block), decoded.values, strict=True)
-        assert all(math.isfinite(v) for n, v in named if isinstance(v, float) and n not in floats)
-        assert isinstance(decoded.time_flags, TimeFlag)
 
 
 GOLDEN = {

@@ -5,29 +5,42 @@ from __future__ import annotations
 import json
 import sys
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import click
 
-from roclog.devices import PROFILES
+from roclog.devices import CONFIGURED, PROFILES
+from roclog.errors import RegisterMapError
+from roclog.plugins import find_plugins, load_plugin, plugins_named
 from roclog.quantities import format_duration
 from roclog.register_map import Change, ClearOnRead, Counter, FlagAndClear, SplitCalendar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
+    from roclog.plugins import Plugin
     from roclog.register_map import Block, Point, RegisterMap, TimeSource
 
 _NUMERIC: Final = frozenset({"address", "words", "unit id"})
-_LONG: Final = frozenset({"title", "source"})
+_LONG: Final = frozenset({"title", "source", "package"})
 _POINT_HEADINGS: Final = ("address", "words", "name", "type", "scale", "unit", "range", "title")
+
+
+_BUILT_IN: Final[Mapping[str, RegisterMap]] = {**PROFILES, **CONFIGURED}
+
+
+class Listed(NamedTuple):
+    """A register map and what brings it; None = roclog."""
+
+    profile: RegisterMap
+    plugin: Plugin | None = None
 
 
 @click.command()
 @click.argument("name", required=False)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def profiles(name: str | None, *, as_json: bool) -> None:
-    """Show the built-in register maps.
+    """Show the register maps, built in and of plug-ins.
 
     Without NAME the list of them. Addresses are PDU addresses, counted from 0.
 
@@ -35,23 +48,67 @@ def profiles(name: str | None, *, as_json: bool) -> None:
     Example:
       roclog profiles hiac-roc
     """
-    if name is not None and name not in PROFILES:
-        close = get_close_matches(name, PROFILES, n=1)
-        hint = f", did you mean {close[0]!r}?" if close else f"; there is {', '.join(PROFILES)}"
-        raise click.BadParameter(f"no profile {name!r}{hint}", param_hint="NAME")
-    chosen = [profile for profile in PROFILES.values() if name in (None, profile.name)]
+    broken: list[RegisterMapError] = []
+    chosen = _all(broken) if name is None else [_one(name)]
     if as_json:
-        objects = [_profile_object(profile, blocks=name is not None) for profile in chosen]
-        click.echo(json.dumps({"schema": "roclog.profiles/1", "profiles": objects}))
+        objects = [_profile_object(listed, blocks=name is not None) for listed in chosen]
+        problems = [{"name": error.name, "problems": error.problems} for error in broken]
+        found = {"schema": "roclog.profiles/1", "profiles": objects, "broken": problems}
+        click.echo(json.dumps(found))
     elif name is None:
-        rows = [(p.name, p.title, str(p.unit), _serial(p), p.source) for p in chosen]
-        _print_table(("name", "title", "unit id", "serial line", "source"), rows)
+        rows = [(p.name, p.title, *_delivered(p), _origin(by), p.source) for p, by in chosen]
+        headings = ("name", "title", "unit id", "serial line", "package", "source")
+        _print_table(headings, rows)
     else:
         _print_profile(chosen[0])
+    for error in broken:
+        more = len(error.problems) - 1
+        rest = f" (and {more} more, see roclog profiles {error.name})" if more else ""
+        click.echo(f"roclog: warning: profile {error.name}: {error.problems[0]}{rest}", err=True)
 
 
-def _print_profile(profile: RegisterMap) -> None:
-    for label, text in _facts(profile):
+def _one(name: str) -> Listed:
+    if name in _BUILT_IN:
+        return Listed(_BUILT_IN[name])
+    plugins = plugins_named(name)
+    if plugins and name not in _reserved():
+        return Listed(load_plugin(name), plugins[0])
+    known = list(dict.fromkeys([*_BUILT_IN, *(plugin.name for plugin in find_plugins())]))
+    close = get_close_matches(name, known, n=1)
+    hint = f", did you mean {close[0]!r}?" if close else f"; there is {', '.join(known)}"
+    raise click.BadParameter(f"no profile {name!r}{hint}", param_hint="NAME")
+
+
+def _all(broken: list[RegisterMapError]) -> list[Listed]:
+    """Every map that can be used; what is wrong with the others goes to ``broken``."""
+    found = [Listed(profile) for profile in _BUILT_IN.values()]
+    plugins = {plugin.name: plugin for plugin in find_plugins()}
+    for name, plugin in plugins.items():
+        try:
+            if name in _reserved():
+                others = " and ".join(map(str, plugins_named(name)))
+                text = f"{others}: has the name of a built-in profile, which is used"
+                raise RegisterMapError(name, [text])  # noqa: TRY301 - as a map that is broken
+            found.append(Listed(load_plugin(name), plugin))
+        except RegisterMapError as error:
+            broken.append(error)
+    return found
+
+
+def _reserved() -> frozenset[str]:
+    """Names of all built-in profiles, those that have no map to show as well."""
+    from roclog.config.profiles import TABLES  # noqa: PLC0415 - only where there are plug-ins
+
+    return frozenset(TABLES)
+
+
+def _origin(plugin: Plugin | None) -> str:
+    return "built in" if plugin is None else plugin.origin
+
+
+def _print_profile(listed: Listed) -> None:
+    profile = listed.profile
+    for label, text in _facts(profile, listed.plugin):
         click.echo(f"{label:12}{text}")
     for block in profile.blocks:
         click.echo(f"\n{block.title or block.name}")
@@ -61,13 +118,16 @@ def _print_profile(profile: RegisterMap) -> None:
         _print_table(_POINT_HEADINGS, [row for point in points for row in _rows(block, point)])
 
 
-def _facts(profile: RegisterMap) -> Iterator[tuple[str, str]]:
+def _facts(profile: RegisterMap, plugin: Plugin | None) -> Iterator[tuple[str, str]]:
     yield "profile", f"{profile.name}: {profile.title}"
+    if plugin is not None:
+        yield "package", plugin.origin
     yield "source", profile.source
-    yield "delivered", f"unit {profile.unit}, {_serial(profile)}"
+    label, more = ("delivered", "") if _is_documented(profile) else ("assumed", ", not documented")
+    yield label, f"unit {profile.unit}, {_serial(profile)}{more}"
     if profile.has_serial_port:
         yield "silence", f"{profile.serial.silence_characters:g} characters before a request"
-    yield "answers", f"within {format_duration(profile.answer_limit)}"
+    yield "answers", f"within {format_duration(profile.answer_limit)}{more}"
     if profile.cycle is not None:
         yield "cycle", f"{' + '.join(profile.cycle[1])} of block {profile.cycle[0]}"
     for note in profile.notes:
@@ -128,7 +188,7 @@ def _rows(block: Block, point: Point) -> Iterator[tuple[str, ...]]:
     meanings = ", ".join(f"{value} = {text}" for value, text in point.meanings)
     yield (
         str(block.address + point.offset),
-        str(point.size),
+        str(block.size_of(point)),
         point.name,
         point.type.value,
         "" if point.scale is None else str(point.scale),
@@ -139,6 +199,17 @@ def _rows(block: Block, point: Point) -> Iterator[tuple[str, ...]]:
     blank = ("",) * (len(_POINT_HEADINGS) - 4)
     for bit, name in point.bits:
         yield ("", "", name, f"bit {bit}", *blank)
+
+
+def _is_documented(profile: RegisterMap) -> bool:
+    """Whether its document says how it is delivered."""
+    return profile.serial.is_documented or not profile.has_serial_port
+
+
+def _delivered(profile: RegisterMap) -> tuple[str, str]:
+    """Unit and serial line."""
+    mark = "" if _is_documented(profile) else " (assumed)"
+    return f"{profile.unit}{mark}", f"{_serial(profile)}{mark}"
 
 
 def _serial(profile: RegisterMap) -> str:
@@ -176,12 +247,14 @@ def _print_rich(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     Console().print(table)
 
 
-def _profile_object(profile: RegisterMap, *, blocks: bool) -> dict[str, object]:
+def _profile_object(listed: Listed, *, blocks: bool) -> dict[str, object]:
+    profile, plugin = listed
     serial = profile.serial
     found: dict[str, object] = {
         "name": profile.name,
         "title": profile.title,
         "source": profile.source,
+        "package": None if plugin is None else {"name": plugin.package, "version": plugin.version},
         "unit_id": profile.unit,
         "port": profile.port,
         "serial": None
@@ -194,6 +267,8 @@ def _profile_object(profile: RegisterMap, *, blocks: bool) -> dict[str, object]:
             "silence_characters": serial.silence_characters,
         },
         "answer_limit_ns": profile.answer_limit,
+        "documented": _is_documented(profile),
+        "notes": list(profile.notes),
     }
     if blocks:
         found["blocks"] = [_block_object(profile, block) for block in profile.blocks]
@@ -204,6 +279,7 @@ def _block_object(profile: RegisterMap, block: Block) -> dict[str, object]:
     trigger = block.handshake
     return {
         "name": block.name,
+        "message": block.message or block.name,
         "title": block.title,
         "table": block.table.value,
         "address": block.address,
@@ -224,9 +300,10 @@ def _point_object(block: Block, point: Point) -> dict[str, object]:
     return {
         "name": point.name,
         "address": block.address + point.offset,
-        "words": point.size,
+        "words": block.size_of(point),
         "type": point.type.value,
         "scale": None if point.scale is None else float(point.scale),
+        "add": None if point.add is None else float(point.add),
         "unit": point.unit,
         "low": None if point.low is None else float(point.low),
         "high": None if point.high is None else float(point.high),

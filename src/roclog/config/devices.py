@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from roclog.config import defaults
 from roclog.config.leaves import shown
-from roclog.config.profiles import TABLES, register_map
+from roclog.config.profiles import TABLES, profile_names, register_map, table_of
 from roclog.config.profiles.device_table import DeviceTable
 from roclog.config.reading import joined, named_tables, read_table, suggestion
 from roclog.config.tables import Line, Rtu, RtuOverTcp
@@ -40,11 +40,13 @@ def _read_tables(file: dict[str, Any], problems: Problems) -> Iterator[tuple[str
         if name == "log":
             problems.add(key, "a device cannot be called log, that is the topic of events")
         profile = table.get("profile") if isinstance(table, dict) else None
-        if isinstance(profile, str) and profile in TABLES:
-            yield name, read_table(TABLES[profile], table, key, problems)
+        kind = table_of(profile) if isinstance(profile, str) else None
+        if kind is not None:
+            yield name, read_table(kind, table, key, problems)
             continue
         if isinstance(profile, str):
-            hint = suggestion(profile, TABLES) or f", known: {', '.join(TABLES)}"
+            known = profile_names()
+            hint = suggestion(profile, known) or f", known: {', '.join(known)}"
             problems.add(f"{key}.profile", f"no profile {shown(profile)}{hint}")
         elif profile is not None:
             problems.add(f"{key}.profile", f"{shown(profile)} is not the name of a profile")

@@ -20,7 +20,7 @@ from roclog.config.leaves import (
     Size,
     leaf_schema,
 )
-from roclog.config.profiles import AnyDevice  # noqa: TC001 - msgspec reads the annotation
+from roclog.config.profiles import TABLES, AnyDevice
 
 _Directory = Annotated[
     PathText, Meta(description="Relative to the configuration; default recordings")
@@ -213,9 +213,19 @@ class Configuration(Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON Schema of the configuration, draft 7, for editors."""
+    """JSON Schema of the configuration, draft 7, for editors.
+
+    Which plug-ins are installed is not its matter: any other name may be a profile of one.
+    """
     _, tables = json.schema_components(
         [Configuration], schema_hook=leaf_schema, ref_template="#/definitions/{name}"
     )
     root = tables.pop("Configuration")
+    del root["properties"]["devices"]["additionalProperties"]["discriminator"]
+    tables["PluginDevice"]["properties"]["profile"] = {
+        "type": "string",
+        "pattern": "^[a-z][a-z0-9-]*$",
+        "not": {"enum": list(TABLES)},
+        "description": "The name of a profile that a plug-in has",
+    }
     return {"$schema": "http://json-schema.org/draft-07/schema#", **root, "definitions": tables}

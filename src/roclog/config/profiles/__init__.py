@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from roclog.config.profiles import hiac_roc, mei_timestamped, mpa_48, msx_e3317, registers
+from roclog.config.profiles import (
+    hiac_roc,
+    mei_timestamped,
+    mpa_48,
+    msx_e3317,
+    plugin,
+    registers,
+)
 from roclog.config.profiles.register_tables import Registers
+from roclog.plugins import find_plugins
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,6 +27,7 @@ AnyDevice = (
     | mei_timestamped.MeiTimestamped
     | mpa_48.Mpa48
     | msx_e3317.MsxE3317
+    | plugin.PluginDevice
     | Registers
 )
 TABLES: Final[dict[str, type[DeviceTable]]] = {
@@ -28,7 +37,7 @@ TABLES: Final[dict[str, type[DeviceTable]]] = {
     "msx-e3317": msx_e3317.MsxE3317,
     "registers": Registers,
 }
-"""The keys of a device by its profile."""
+"""The keys of a device by its profile, of those that are built in."""
 _BUILDERS: Final[dict[str, Callable[[Any, str, Problems], RegisterMap | None]]] = {
     "hiac-roc": hiac_roc.register_map,
     "mei-timestamped": mei_timestamped.register_map,
@@ -38,6 +47,17 @@ _BUILDERS: Final[dict[str, Callable[[Any, str, Problems], RegisterMap | None]]] 
 }
 
 
+def table_of(profile: str) -> type[DeviceTable] | None:
+    """The keys of a device with this profile, built in or of a plug-in; None = there is none."""
+    return TABLES.get(profile) or plugin.table_of(profile)
+
+
+def profile_names() -> list[str]:
+    """The built-in ones first."""
+    return list(dict.fromkeys([*TABLES, *(found.name for found in find_plugins())]))
+
+
 def register_map(table: DeviceTable, key: str, problems: Problems) -> RegisterMap | None:
     """The map of the device at this key path; None where its problems leave none."""
-    return _BUILDERS[str(table.__struct_config__.tag)](table, key, problems)
+    build = _BUILDERS.get(str(table.__struct_config__.tag), plugin.register_map)
+    return build(table, key, problems)
