@@ -83,7 +83,7 @@ def test_the_misprinted_answer_is_a_wrong_one_with_its_octets() -> None:
     run(main())
 
 
-@pytest.mark.parametrize("pdu", ["2B 0E 01 00", "2B 82 00 08 00 02 00", "2B 86 00 08 00 02"])
+@pytest.mark.parametrize("pdu", ["2B 0E 05 00", "2B 82 00 08 00 02 00", "2B 86 00 08 00 02"])
 def test_no_other_request_of_function_43_leaves(pdu: str) -> None:
     class Other(ReadStamped):
         @property

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 from bus_fakes import CLEAR, MS, READ, SILENCE, SLACK, START, UNIT, device, make, now, run
 from wire import rtu_frame
 
+import roclog
 from roclog.bus.bus import TooLate
 from roclog.bus.tally import Tally
-from roclog.errors import WriteRefused
+from roclog.clock import SystemClock
+from roclog.config.settings import Connection
+from roclog.connect import make_bus
+from roclog.errors import LinkDown, WriteRefused
 from roclog.modbus.request import WriteRegister
 
 
@@ -71,7 +77,10 @@ class HandMade:
         "10 01 2C 00 01 02 00 00",
         "16 01 2C 00 00 00 00",
         "17 01 2C 00 01 01 2C 00 01 02 00 00",
-        "2B 0E 01 00",
+        "11 00",
+        "2B 0D 01 00",
+        "2B 0E 05 00",
+        "2B 0E 01 00 00",
         "5A",
     ],
 )
@@ -83,6 +92,56 @@ def test_only_reads_leave_without_permission(pdu: str) -> None:
         assert link.opened == []
 
     run(main())
+
+
+def test_what_a_person_asked_for_leaves_and_nothing_like_it() -> None:
+    """Nobody is at home at port 1: what may leave is what the link is opened for."""
+    connection = Connection(
+        name="net",
+        transport="tcp",
+        port=1,
+        host="127.0.0.1",
+        baudrate=0,
+        bytesize=0,
+        parity="",
+        stopbits=0,
+        timeout=100 * MS,
+        late_answer=None,
+        silence=0,
+        character=0,
+    )
+    asked_for = frozenset({(UNIT, 1102, 0x5A)})
+
+    async def main() -> None:
+        bus = make_bus(connection, [], SystemClock(), asked_for)
+        with pytest.raises(LinkDown):
+            await bus.transact(UNIT, WriteRegister(1102, 0x5A), Tally())
+        for unit, address, value in (
+            (UNIT, 1101, 0x55),
+            (UNIT, 1102, 0x5B),
+            (UNIT, 300, 0),
+            (1, 1102, 0x5A),
+        ):
+            bus = make_bus(connection, [], SystemClock(), asked_for)
+            with pytest.raises(WriteRefused):
+                await bus.transact(unit, WriteRegister(address, value), Tally())
+        bus = make_bus(connection, [], SystemClock())
+        with pytest.raises(WriteRefused):
+            await bus.transact(UNIT, WriteRegister(1102, 0x5A), Tally())
+
+    asyncio.run(main())
+
+
+def test_only_commands_to_a_device_ask_for_writes() -> None:
+    """Recording, probing and scanning have no way to name one."""
+    asking = set()
+    for path in sorted(Path(roclog.__file__).parent.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "make_bus":
+                assert not any(isinstance(each, ast.Starred) for each in node.args)
+                if len(node.args) > 3 or node.keywords:
+                    asking.add(path.name)
+    assert asking == {"commanding.py"}
 
 
 def test_not_after() -> None:

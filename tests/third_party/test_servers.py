@@ -34,7 +34,7 @@ SERVERS = Path(__file__).with_name("servers")
 UNIT = 138
 SAMPLE = SampleSource(seed=5, word_order="ABCD", period=10, identical_every=0).make().registers
 REGISTERS = {
-    **dict(enumerate(identity())),
+    **dict(enumerate(identity("1203270042"))),
     **configuration(UNIT, 15),
     **dict(enumerate(SAMPLE, 300)),
 }
@@ -205,3 +205,35 @@ def test_reads_records_and_clears(tmp_path: Path, library: str, transport: str) 
         assert verdict.complaints == []
         assert verdict.queries == verdict.responses == requests + 3 + 3  # the two `roclog read`
         assert verdict.exceptions == 0
+
+
+@pytest.mark.root
+@pytest.mark.parametrize(
+    ("library", "transport"), [case for case in CASES if case[0] != "modbus-serial"]
+)
+def test_a_scan_finds_it_and_leaves_it_in_step(
+    tmp_path: Path, library: str, transport: str
+) -> None:
+    """libmodbus over TCP and pymodbus over UDP do not look at the unit."""
+    with ExitStack() as stack:
+        peer = start(stack, tmp_path, library, transport)
+        line = f'[connections.line]\n{peer.connection}\ntimeout = "300ms"\n'
+        device = '[devices.roc1]\nprofile = "hiac-roc"\nconnection = "line"\nunit = '
+        recorder = Recorder(tmp_path, f"{line}{device}{UNIT}")
+        config = tmp_path / "scan.toml"
+        config.write_text(f"{line}{device}9")  # nobody, and so the unit is not known
+        words = ("--connection", "line", "--units", "137-140", "--json")
+        done = roclog("scan", config, *words)
+        assert done.returncode == 0, done.stderr
+        found = {unit["unit"]: unit for unit in json.loads(done.stdout)["units"]}
+        heedless = (library, transport) in (("libmodbus", "tcp"), ("pymodbus", "udp"))
+        assert list(found) == (list(range(137, 141)) if heedless else [UNIT])
+        assert all(unit["state"] == "answers" for unit in found.values())
+        assert {unit["alike"] for unit in found.values()} == {heedless}
+        text = {"libmodbus": "LMB3", "pymodbus": "Pymodbus", "modbus-tk": ""}[library]
+        assert found[UNIT]["identity"].startswith(text)
+        assert found[UNIT]["exception"] == (1 if library == "modbus-tk" else None)
+        sample = read(recorder.config)["sample"]
+        assert sample["registers"] == [*SAMPLE]
+        assert same(sample["values"])
+        assert peer.server.written == []

@@ -14,7 +14,12 @@ from roclog.modbus.library import read_registers_pdu, write_register_pdu
 EXCEPTION_BIT: Final = 0x80
 ENCAPSULATED: Final = 0x2B
 """Function 43, V1.1b3 section 6.19; the octet behind it is the MEI type."""
+REPORT_SERVER_ID: Final = 0x11
+"""Function 17, V1.1b3 section 6.13; the request is this octet alone."""
+DEVICE_IDENTIFICATION: Final = 0x0E
+"""MEI type of function 43, V1.1b3 section 6.21; a read code of 1 to 4 and an object follow."""
 _READS: Final = frozenset({1, 2, 3, 4})
+_READ_CODES: Final = frozenset({1, 2, 3, 4})
 
 
 class Request(Protocol):
@@ -32,6 +37,14 @@ class Request(Protocol):
     def answer_size(self) -> int:
         """Octets of the normal answer's PDU, known from the request alone."""
         ...
+
+
+class SelfSized:
+    """A request whose answer says itself how long it is; its ``answer_size`` is the least."""
+
+    def size_of(self, start: bytes) -> int:
+        """Octets of the answer's PDU that begins so: as many as are known to belong to it."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -175,7 +188,11 @@ def is_read(pdu: bytes) -> bool:
     """Whether these octets are a request that changes nothing in a device."""
     if pdu[:1] and pdu[0] in _READS:
         return True
-    return len(pdu) == 6 and pdu[0] == ENCAPSULATED and pdu[1] in _MOST
+    if pdu[:2] == bytes([ENCAPSULATED, DEVICE_IDENTIFICATION]):
+        return len(pdu) == 4 and pdu[2] in _READ_CODES
+    if len(pdu) == 6 and pdu[0] == ENCAPSULATED and pdu[1] in _MOST:
+        return True
+    return pdu == bytes([REPORT_SERVER_ID])
 
 
 def refusals(request: Request) -> tuple[tuple[bytes, int], ...]:
@@ -207,8 +224,9 @@ def check_answer(request: Request, pdu: bytes) -> None:
         raise WrongAnswer(f"this does not answer function {function}", pdu)
     if isinstance(request, ReadStamped) and pdu[1:2] != request.pdu[1:2]:
         raise WrongAnswer(f"this does not answer MEI type 0x{request.mei:02X}", pdu)
-    if len(pdu) != request.answer_size:
-        raise WrongAnswer(f"{len(pdu)} octets instead of {request.answer_size}", pdu)
+    size = request.size_of(pdu) if isinstance(request, SelfSized) else request.answer_size
+    if len(pdu) != size:
+        raise WrongAnswer(f"{len(pdu)} octets instead of {size}", pdu)
     if not pdu.startswith(request.head):
         raise WrongAnswer("byte count or echo does not fit the request", pdu)
     if isinstance(request, ReadStamped) and request.mei.is_discrete:

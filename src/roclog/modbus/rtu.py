@@ -1,7 +1,8 @@
 """One RTU request and the hunt for its answer among whatever else is on the line.
 
-The length of an answer follows from its request, so a frame is recognised by its head, its length
-and its checksum wherever it begins; gaps between octets mean nothing behind a USB adapter.
+The length of an answer follows from its request, or from its own first octets, so a frame is
+recognised by its head, its length and its checksum wherever it begins; gaps between octets mean
+nothing behind a USB adapter.
 
 1. Octets are judged in order. As long as an earlier octet may still begin the echo or the answer,
    a later one is not looked at: how the octets were cut into pieces changes nothing.
@@ -16,7 +17,7 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING
 
 from roclog.modbus.library import crc
-from roclog.modbus.request import refusals
+from roclog.modbus.request import SelfSized, refusals
 
 if TYPE_CHECKING:
     from roclog.modbus.request import Request
@@ -46,6 +47,7 @@ class RtuExchange:
         head = bytes([unit]) + request.head
         self._head = head
         self._size = 1 + request.answer_size + 2
+        self._self_sized = request if isinstance(request, SelfSized) else None
         self._shapes = [(bytes([unit]) + start, 1 + n + 2) for start, n in refusals(request)]
         self._shapes.append((head, self._size))
         self._answer_is_copy = head == body
@@ -74,7 +76,9 @@ class RtuExchange:
         If nothing follows them, they were the answer, damaged, and no other will come.
         """
         start = self._buffer.find(self._head)
-        return self.echo is Echo.ABSENT and start >= 0 and len(self._buffer) - start == self._size
+        if self.echo is not Echo.ABSENT or start < 0:
+            return False
+        return len(self._buffer) - start == self._size_at(start)
 
     @property
     def leftover(self) -> bytes:
@@ -107,9 +111,10 @@ class RtuExchange:
 
     def _frame_at(self, start: int, *, over: bool) -> bytes | None:
         """The frame that begins here, empty where none does, None where more octets must tell."""
-        for head, size in self._shapes:
+        for head, fixed in self._shapes:
             if not head.startswith(bytes(self._buffer[start : start + len(head)])):
                 continue
+            size = self._size_at(start) if head is self._head else fixed
             if len(self._buffer) - start >= size:
                 frame = bytes(self._buffer[start : start + size])
                 if crc(frame[:-2]) == frame[-2:]:
@@ -117,6 +122,12 @@ class RtuExchange:
             elif not over:
                 return None
         return b""
+
+    def _size_at(self, start: int) -> int:
+        """Octets of the normal answer that begins here, as far as they tell."""
+        if self._self_sized is None:
+            return self._size
+        return 1 + self._self_sized.size_of(bytes(self._buffer[start + 1 :])) + 2
 
     def _take_echo(self) -> None:
         self._echoed = True
