@@ -25,8 +25,16 @@ _FRAMINGS: Final[dict[Transport, Framing]] = {
 }
 
 
-def make_bus(connection: Connection, devices: list[Device], clock: Clock) -> Bus:
-    """The bus of a connection; only the acknowledgements of its devices may be written."""
+def make_bus(
+    connection: Connection,
+    devices: list[Device],
+    clock: Clock,
+    asked_for: frozenset[tuple[int, int, int]] = frozenset(),
+) -> Bus:
+    """The bus of a connection; only the acknowledgements of its devices may be written.
+
+    asked_for: writes besides, as (unit, address, value), that a person has seen and agreed to.
+    """
     timing = Timing(
         framing=_FRAMINGS[connection.transport],
         timeout=connection.timeout,
@@ -42,7 +50,7 @@ def make_bus(connection: Connection, devices: list[Device], clock: Clock) -> Bus
         for block in device.profile.samples
         if isinstance(block.trigger, FlagAndClear)
     )
-    return Bus(_make_link(connection), timing, clock, permitted, len(devices))
+    return Bus(_make_link(connection), timing, clock, permitted | asked_for, len(devices))
 
 
 def _make_link(connection: Connection) -> Link:

@@ -108,7 +108,7 @@ class ExceptionAnswer(DeviceError):
 
 
 class WriteRefused(RoclogError):
-    """A write that is not the profile's declared acknowledgement never reaches the line."""
+    """A write that is neither an acknowledgement nor asked for by a person is not sent."""
 
 
 class StorageError(RoclogError, OSError):

@@ -59,3 +59,18 @@ def test_writes(tmp_path: Path, acknowledge: bool) -> None:
         assert comparison.clean, name
         assert comparison.found == list(range(1, len(comparison.found) + 1)), name
         assert len(comparison.found) >= 7, name
+
+
+def test_settings_and_commands_are_never_written(tmp_path: Path) -> None:
+    """A recorder that starts anew, loses its device and is stopped; only 300 is ever written."""
+    with Roc(tmp_path, cycle=0.3, samples=10**6, reboot_at=3) as roc:
+        recorder = Recorder(tmp_path, roc.toml(device='poll = "100ms"\ncycle = "300ms"'))
+        for least in (2, 6):
+            with recorder.start() as child:
+                child.while_it_runs(lambda: len(roc.truth.cleared) >= least, "clears")  # noqa: B023
+                assert child.stop() == 0
+        truth = roc.end()
+    assert truth.count("power") == 2
+    assert truth.count("clear") >= 6
+    others = [line for line in truth.lines if line["event"] in ("write", "reset", "exception")]
+    assert others == []

@@ -44,6 +44,7 @@ class Schedule:
         self._last = min(self._options.samples, self._options.stop_after or self._options.samples)
         self._model.race = self._race
         self._model.on_reset = self._reset
+        self._model.on_power_failure = lambda: self._loop.call_soon(self.power_fails)
 
     def start(self) -> None:
         self._restart()
@@ -99,7 +100,7 @@ class Schedule:
         if options.plc:
             self._at(due + self._random.uniform(0, 0.5) * cycle, self._model.plc_clear)
         if self._k == options.reboot_at:
-            self._loop.call_at(due + cycle / 2, self._power_off)
+            self._loop.call_at(due + cycle / 2, self.power_fails)
         if self._k == options.stop_after:
             self._loop.call_at(due + cycle / 2, self._die)
 
@@ -131,7 +132,15 @@ class Schedule:
 
     def _reset(self) -> None:
         self._stop_sampling()
+        self._shared.mute = bool(self._options.reset_takes)
+        if self._shared.mute:
+            self._loop.call_later(self._options.reset_takes, self._start_again)
+        else:
+            self._start_again()
+
+    def _start_again(self) -> None:
         self._model.power_up()
+        self._shared.mute = False
         self._restart()
 
     def _stop_sampling(self) -> None:
@@ -140,7 +149,10 @@ class Schedule:
         if self._begun is not None:
             self._k, self._begun = self._begun.k, None
 
-    def _power_off(self) -> None:
+    def power_fails(self) -> None:
+        """For a while; what was not saved is gone then."""
+        if self._shared.off:
+            return
         self._shared.mute = self._shared.off = True
         self._stop_sampling()
         self._side.power_fails()
@@ -175,6 +187,7 @@ class RocDevice:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ended: asyncio.Event | None = None
         self._thread: threading.Thread | None = None
+        self._schedule: Schedule | None = None
 
     async def serve(self, ready: Callable[[str], None]) -> None:
         """`ready` is told the port or the link's path; returns when the device has ended."""
@@ -184,7 +197,8 @@ class RocDevice:
         side = TcpSide(shared, options.tcp) if options.tcp else PtySide(shared, options.pty or "")
         self.address = await side.open()
         self.truth.log("start", registers=list(self.model.block), options=asdict(options))
-        Schedule(shared, side, self._ended.set).start()
+        self._schedule = Schedule(shared, side, self._ended.set)
+        self._schedule.start()
         ready(self.address)
         try:
             await self._ended.wait()
@@ -198,6 +212,11 @@ class RocDevice:
         """From any thread, or from a signal handler of the loop."""
         if self._loop is not None and self._ended is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._ended.set)
+
+    def power_fails(self) -> None:
+        """From a signal handler of the loop."""
+        if self._schedule is not None:
+            self._schedule.power_fails()
 
     def start(self) -> str:
         ready: Future[str] = Future()
@@ -234,6 +253,7 @@ async def _process(options: Options) -> None:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, device.end)
+    loop.add_signal_handler(signal.SIGUSR1, device.power_fails)
     await device.serve(lambda address: print(f"listening {address}", flush=True))
 
 

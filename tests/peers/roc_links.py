@@ -11,7 +11,7 @@ import struct
 import time
 import tty
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -124,7 +124,10 @@ class Exchange:
         reply = shared.model.execute(arrival.request.pdu, fate, arrival.origin)
         if reply.pdu is None:
             return
-        frame = self._wrap(arrival.request, reply.pdu)
+        request = arrival.request
+        if fate == "other_unit":
+            request = replace(request, unit=request.unit % 247 + 1)
+        frame = self._wrap(request, reply.pdu)
         if fate == "late":
             due = max(self._loop.time(), arrival.end + shared.options.late_by)
             self._late_reply = reply

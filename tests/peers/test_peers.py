@@ -330,6 +330,79 @@ def test_reset_has_no_answer() -> None:
         assert wait_for(device, "made", len(lines(device, "made")) + 1)["k"] >= 2
 
 
+PERIOD_20 = bytes.fromhex("00 01 00 00 00 06 8A 06 00 69 00 14")
+PERIOD = bytes.fromhex("00 01 00 00 00 06 8A 03 00 69 00 01")
+SAVE = bytes.fromhex("00 01 00 00 00 06 8A 06 04 4E 00 5A")
+RESET = bytes.fromhex("00 01 00 00 00 06 8A 06 04 4D 00 55")
+
+
+@pytest.mark.parametrize(
+    ("fault", "answer", "period"),
+    [
+        (None, "06 00 69 00 14", 20),
+        ("refuse", "86 03", 10),
+        ("ignore", "06 00 69 00 14", 10),
+        ("lose", "", 20),
+        ("deaf", "", 10),
+    ],
+)
+def test_what_becomes_of_a_setting(fault: str | None, answer: str, period: int) -> None:
+    with roc(cycle=0.2, settings=fault) as device, tcp(device) as client:
+        client.send(PERIOD_20)
+        size = 7 + len(bytes.fromhex(answer))
+        if answer:
+            assert client.receive(size)[7:] == bytes.fromhex(answer)
+        assert client.ask(PERIOD, 11)[9:] == bytes([0, period])
+
+
+def test_only_what_was_saved_survives_a_reset() -> None:
+    with roc(cycle=0.2, reset_takes=0.1) as device, tcp(device) as client:
+
+        def answer() -> bytes:
+            client.send(PERIOD)
+            return client.receive(11, 0.05)[9:]
+
+        assert client.ask(PERIOD_20, 12) == PERIOD_20
+        client.send(RESET)
+        wait_for(device, "reset")
+        assert answer() == b""
+        until(lambda: answer() == bytes([0, 10]), "the old period")
+        assert client.ask(PERIOD_20, 12) == PERIOD_20
+        assert client.ask(SAVE, 12) == SAVE
+        client.send(RESET)
+        wait_for(device, "reset", 2)
+        until(lambda: answer() == bytes([0, 20]), "the new period")
+
+
+def test_power_fails_after_a_setting() -> None:
+    with roc(cycle=0.05, power_fails_after=1) as device:
+        with tcp(device) as client:
+            client.send(PERIOD_20)
+            wait_for(device, "power", 2)
+        with tcp(device) as client:
+            assert client.ask(PERIOD, 11)[9:] == bytes([0, 10])
+
+
+@pytest.mark.parametrize(("register", "request_"), [(1101, RESET), (1102, SAVE)])
+def test_a_command_that_is_refused(register: int, request_: bytes) -> None:
+    with roc(refuse_command=register) as device, tcp(device) as client:
+        assert client.ask(request_, 9)[7:] == bytes.fromhex("86 03")
+
+
+@pytest.mark.parametrize("now", [True, False])
+def test_when_a_node_id_counts(now: bool) -> None:
+    with roc(node_id_now=now) as device, tcp(device) as client:
+        node_17 = bytes.fromhex("00 01 00 00 00 06 8A 06 00 64 00 11")
+        assert client.ask(node_17, 12) == node_17
+        assert device.model.unit == (17 if now else 138)
+        if not now:
+            assert client.ask(SAVE, 12) == SAVE
+            assert device.model.unit == 138
+            client.send(RESET)
+            wait_for(device, "reset")
+        assert device.model.unit == 17
+
+
 def test_schedule_does_not_drift() -> None:
     with roc(cycle=0.03, samples=20, linger=0.0) as device:
         device.wait()

@@ -7,7 +7,12 @@ are PDU addresses. What the document leaves open, and what is done:
   reserved bits of the alarms, the range of the counts and their order are watched.
 - Sizes of the four counters are not stated: the counts are numbered, not named by size.
 - Three idle rules are given (4-5 ms, 3.5 characters, "minimum 5 characters"): 5 characters.
-- 110-113 say "0-29" and "1-digit implied decimal" and depend on 107: the integers are kept.
+- 110-113 say "0-29" and "1-digit implied decimal" and depend on 107: the integers are kept, and
+  what either reading allows may be written. Under 107 = 0 no range is given, nor under NAS for
+  112 and 113.
+- 101-104 (the counter's clock) are R/W with write ranges, and "unused": they may be set when they
+  are asked for by name, and people are told. Their zone is not stated: UTC, as of 301-304.
+- When a written node ID (100) takes effect is not stated, nor whether 0x5A is needed first.
 - 301-304 "read returns 0": used as device time only when they are not zero.
 - Counts reach 2,500,000 per mL after scaling; that is the edge of the highest ISO code.
 """
@@ -27,6 +32,7 @@ from roclog.register_map import (
     Table,
     WordType,
 )
+from roclog.writable import RESET, SAVE, Command, Range, Reading, Setting, Writable
 
 _HUNDREDTH: Final = Decimal("0.01")
 _TENTH: Final = Decimal("0.1")
@@ -256,6 +262,57 @@ SAMPLE: Final = Block(
     ),
 )
 
+_NONE: Final = -3
+_ISO: Final = Range(when=1, name="ISO", low=Decimal(0), high=Decimal(29), numbers=(_NONE,))
+_NAS: Final = Range(when=2, name="NAS", low=Decimal(0), high=Decimal(12), numbers=(_NONE, -1))
+_SAE: Final = Range(when=3, name="SAE", low=Decimal(0), high=Decimal(12), numbers=(_NONE, -2, -1))
+_READINGS: Final = (
+    Reading(name="in whole numbers", factor=Decimal(1)),
+    Reading(name="in tenths", factor=_TENTH),
+)
+_UNUSED: Final = "the document calls registers 101-104, the clock, unused: it may not run"
+
+
+def _clock(point: str, low: int, high: int) -> Setting:
+    return Setting(point=point, low=Decimal(low), high=Decimal(high), remark=_UNUSED)
+
+
+def _limit(point: str, *ranges: Range) -> Setting:
+    remark = (
+        'the document says "0-29" and "1-digit implied decimal" of registers 110-113: both readings'
+        " are shown; alarm_trigger (107) says which of ISO, NAS and SAE they are"
+    )
+    return Setting(
+        point=point, selector="alarm_trigger", ranges=ranges, readings=_READINGS, remark=remark
+    )
+
+
+WRITABLE: Final = Writable(
+    block="configuration",
+    settings=(
+        Setting(point="node_id"),
+        _clock("date_year", 2000, 2100),
+        _clock("date_day", 101, 1231),
+        _clock("time_hour", 0, 23),
+        _clock("time_minute", 0, 3599),
+        Setting(point="sample_period"),
+        Setting(point="hold_period"),
+        Setting(point="alarm_trigger"),
+        Setting(point="alarm_direction"),
+        Setting(point="alarm_logic"),
+        _limit("limit_1", _ISO, _NAS, _SAE),
+        _limit("limit_2", _ISO, _NAS, _SAE),
+        _limit("limit_3", _ISO, _SAE),
+        _limit("limit_4", _ISO, _SAE),
+    ),
+    unit="node_id",
+    clock=("date_year", "date_day", "time_hour", "time_minute"),
+    commands=(
+        Command(name=SAVE, address=1102, value=0x5A),
+        Command(name=RESET, address=1101, value=0x55, answers=False),
+    ),
+)
+
 REGISTER_MAP: Final = RegisterMap(
     name="hiac-roc",
     title="HIAC ROC / Filtertechnik particle counter",
@@ -266,4 +323,6 @@ REGISTER_MAP: Final = RegisterMap(
     facts=(IDENTITY, CONFIGURATION),
     samples=(SAMPLE,),
     cycle=("configuration", ("sample_period", "hold_period")),
+    identity=tuple(("identity", name) for name in ("manufacturer", "model", "serial_number")),
+    writable=WRITABLE,
 )
