@@ -6,6 +6,7 @@ import re
 from array import array
 from bisect import bisect_left
 from dataclasses import dataclass, field
+from glob import escape
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -16,6 +17,7 @@ from roclog.recording.records import Gap, Sample
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from roclog.recording.reader import Instant, Patterns
     from roclog.recording.records import Channel, Record
 
 _NUMBERED: Final = re.compile(r"(.+)_(\d+)")
@@ -23,7 +25,7 @@ _COLOURS: Final = ("#1d3557", "#2a7f9e", "#e9a23b", "#c8553d", "#6b8e4e", "#7d5b
 _GAP: Final = "#d1495b"
 _GAPS: Final = {False: "gap: samples missing", True: "perhaps missing"}
 _INK: Final = "#33393f"
-_UNITS: Final = {"Cel": "°C", "1/mL": "particles per mL", "[ppm]": "ppm", "s": "s"}
+_UNITS: Final = {"Cel": "°C", "1/mL": "particles per mL", "[ppm]": "ppm", "s": "s", "1": ""}
 _NAMES: Final = {"iso_code": "ISO 4406 code", "count": "count"}
 _MOST_PANELS: Final = 12
 _MOST_COLUMNS: Final = 4
@@ -58,26 +60,45 @@ class Panel:
         return bool(positive) and max(positive) / min(positive) > _DECADES
 
 
-def plot_samples(source: Recording | Iterable[Record], path: Path | str) -> Path:
+def plot_samples(
+    source: Recording | Iterable[Record],
+    path: Path | str,
+    *,
+    channel: Patterns = None,
+    start: Instant = None,
+    end: Instant = None,
+) -> Path:
     """Draw numbers over time, a panel for each device and quantity, as a PNG.
 
     Of a recording: ISO codes and counts of devices with a flag, then whatever has a unit; gaps are
     shaded. Samples on their own have no units; then numbered points make the panels.
 
+    channel, start, end: as of ``Recording.samples``; of a recording only.
+
     Raises:
-        ValueError: there is nothing to draw.
+        ValueError: there is nothing to draw, or no such channel.
         ImportError: matplotlib is not installed; ``pip install 'roclog[plot]'``.
     """
     channels: Mapping[str, Channel] = {}
     records = source
     if isinstance(source, Recording):
         channels = source.channels
-        records = source.records(kinds=("sample", "gap"))
+        topics = _with_gaps(source, channel)
+        records = source.records(topics, start=start, end=end, kinds=("sample", "gap"))
     panels, gaps = _gather(records, channels)
     if not panels:
         raise ValueError("no samples with numbers that could be drawn")
     _draw(panels, gaps, _title(panels, source), Path(path))
     return Path(path)
+
+
+def _with_gaps(recording: Recording, channel: Patterns) -> list[str] | None:
+    """Topics of the channels and of the gaps of their devices; None = all."""
+    if channel is None:
+        return None
+    chosen = recording.chosen_channels(channel)
+    gaps = {f"/{found.device}/gap" for found in chosen.values()} & recording.channels.keys()
+    return [escape(topic) for topic in (*chosen, *sorted(gaps - chosen.keys()))]
 
 
 def _gather(
@@ -249,7 +270,9 @@ def _breaks(times: array[int], gaps: list[Gap]) -> list[tuple[int, int]]:
 
 def _line_label(panel: Panel, name: str) -> str:
     match = _NUMBERED.fullmatch(name)
-    return f"channel {match[2]}" if match and len(panel.lines) > 1 else name.replace("_", " ")
+    if match and len(panel.lines) > 1 and match[1] in _NAMES:
+        return f"channel {match[2]}"
+    return name.replace("_", " ")
 
 
 def _draw_time(axis: Any, panels: list[Panel]) -> None:

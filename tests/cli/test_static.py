@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import json
 import os
@@ -25,7 +26,7 @@ from roclog.cli import COMMANDS, cli
 from roclog.cli.check import look_at
 from roclog.cli.init import configuration, serial_ports
 from roclog.config import bus_loads, load, warnings
-from roclog.devices import PROFILES
+from roclog.devices import CONFIGURED, PROFILES
 from roclog.errors import (
     ConfigError,
     DamagedFile,
@@ -225,11 +226,11 @@ def test_init_lists_serial_ports(tmp_path: Path) -> None:
 def test_commented_parts_of_init_are_valid(tmp_path: Path) -> None:
     """With every comment that looks like TOML made active."""
     lines = configuration("x", []).splitlines()
-    active = [re.sub(r"^# (?=\[|\w+ = )", "", line) for line in lines]
+    active = [re.sub(r"^# (?=\[|\]|  \{|\w+ = )", "", line) for line in lines]
     path = tmp_path / "roclog.toml"
     path.write_text("\n".join(active))
     settings = load(path)
-    assert list(settings.devices) == ["roc1", "roc2", "roc3"]
+    assert list(settings.devices) == ["roc1", "roc2", "roc3", "meter"]
     assert settings.connections["gateway"].place == "192.168.1.40:4001"
     assert settings.recording.keep_size == 20 << 30
     assert settings.connections["hydraulics"].silence == 5_208_335
@@ -399,7 +400,8 @@ def test_check_probe_where_nothing_answers(config: Path) -> None:
 
 def test_profiles_lists_all() -> None:
     lines = invoke("profiles").stdout.splitlines()
-    assert [line.split()[0] for line in lines[1:]] == list(PROFILES)
+    assert [line.split()[0] for line in lines[1:]] == [*PROFILES, *CONFIGURED]
+    assert [line.split()[0] for line in lines if "(assumed)" in line] == list(CONFIGURED)
 
 
 def test_profile_as_a_table() -> None:
@@ -481,6 +483,15 @@ WRONG_SIMULATIONS = [
     (["msx-e3317", "--rtu-over-tcp", "127.0.0.1:0"], "msx-e3317 is served with --tcp or --udp"),
     (["msx-e3317:2", "--tcp", "127.0.0.1:0"], "2 is not a unit of msx-e3317, 0 or 1"),
     (["hiac-roc", "--tcp", "127.0.0.1:0", "--byte-order", "big"], "is for msx-e3317 only"),
+    (["hiac-roc", "--tcp", "127.0.0.1:0", "--sensor", "channel_1=model-10"], "for mpa-48 only"),
+    (["mpa-48", "--tcp", "127.0.0.1:0", "--sensor", "model-10"], "is not CHANNEL=MODEL[@REGISTER]"),
+    (
+        ["mpa-48", "--tcp", "127.0.0.1:0", "--sensor", "channel_1=model-9"],
+        "'model-9' is not one of",
+    ),
+    (["mpa-48", "--tcp", "127.0.0.1:0", "--sensor", "channel_3=model-10"], "address of channel_3"),
+    (["mpa-48", "--tcp", "127.0.0.1:0", *2 * ["--sensor", "channel_1=model-10"]], "twice"),
+    (["mpa-48:248", "--tcp", "127.0.0.1:0"], "248 is not a unit from 1 to 247"),
 ]
 
 
@@ -591,6 +602,78 @@ def test_profile_of_a_module() -> None:
     assert "silence" not in text
     (found,) = json.loads(invoke("profiles", "msx-e3317", "--json").stdout)["profiles"]
     assert (found["port"], found["serial"]) == (512, None)
+
+
+ANALYSER = """
+[devices.basin]
+profile = "mpa-48"
+connection = "plant"
+unit = 3
+sensors = { channel_1 = "model-52", channel_2 = "model-10", channel_3 = "model-15" }
+addresses = { channel_3 = 40 }
+"""
+SENSORS = ("channel_1=model-52", "channel_2=model-10", "channel_3=model-15@40")
+
+
+@pytest.mark.parametrize("transport", ["tcp", "udp", "rtu-over-tcp", "pty"])
+def test_simulate_an_analyser_and_read_it(transport: str, tmp_path: Path, config: Path) -> None:
+    """The truth of the simulator, line by line, is what `read` says."""
+    place, truth = "127.0.0.1:0", tmp_path / "truth.csv"
+    if transport == "pty":
+        place = str(tmp_path / "line")
+    sensors = [word for sensor in SENSORS for word in ("--sensor", sensor)]
+    simulation = Simulation("mpa-48:3", f"--{transport}", place, "--truth", truth, *sensors)
+    match = re.search("serving mpa-48 unit 3 on (.+) at speed 1, Ctrl-C ends", simulation.line)
+    assert match, simulation.line
+    port = match[1].rpartition(":")[2]
+    where = f'host = "127.0.0.1"\nport = {port}' if transport != "pty" else f'port = "{place}"'
+    name = "rtu" if transport == "pty" else transport
+    config.write_text(f'[connections.plant]\ntransport = "{name}"\n{where}\n{ANALYSER}')
+    result = invoke("read", config, "basin", "--json")
+    probed = invoke("check", config, "--probe")
+    assert simulation.stop(signal.SIGTERM) == (0, "")
+    assert result.exit_code == probed.exit_code == 0
+    assert re.search("^answers     basin: block relays was read$", probed.stdout, re.MULTILINE)
+    told: dict[str, dict[str, str]] = {}
+    for row in csv.DictReader(truth.read_text().splitlines()):
+        if int(row["answer"]) <= 4:
+            told.setdefault(row["block"], {})[row["name"]] = row["value"]
+    blocks = json.loads(result.stdout)["blocks"]
+    assert list(blocks) == list(told) == ["relays", "channel_1", "channel_2", "channel_3"]
+    for name, values in told.items():
+        found = blocks[name]["values"]
+        assert list(found) == list(values)
+        for point, text in values.items():
+            assert found[point] == (float(text) if text else None)
+
+
+def test_profile_of_an_analyser() -> None:
+    """Nothing that no document says is shown as documented."""
+    text = invoke("profiles", "mpa-48").stdout
+    assert "assumed     unit 1, 9600 Bd 8N1, not documented\n" in text
+    assert not re.search("^delivered", text, re.MULTILINE)
+    assert "block       relays: 8 coils 0-7, read at every poll\n" in text
+    assert text.count("block       channel_1: 3 input registers 0-2, read at every poll\n") == 4
+    assert "note        on channel_2 each model is at registers 3-5\n" in text
+    assert "note        where other channels are is not documented and must be given: " in text
+    for model in ("model-10", "model-15", "model-51", "model-52"):
+        assert f"\nChannel 1: {model}, " in text
+    assert "3 = needs zero calibration\n" in text
+    (found,) = json.loads(invoke("profiles", "mpa-48", "--json").stdout)["profiles"]
+    assert found["documented"] is False
+    assert [block["message"] for block in found["blocks"]] == [
+        "relays",
+        *(f"channel_model_{number}" for number in (10, 15, 51, 52)),
+    ]
+    (orp,) = (point for point in found["blocks"][4]["points"] if point["name"] == "orp")
+    assert (orp["address"], orp["add"]) == (1, -2000)
+
+
+def test_profile_of_inputs_that_the_configuration_lists() -> None:
+    text = invoke("profiles", "mei-timestamped").stdout
+    assert "assumed     unit 1, 9600 Bd 8N1, not documented\n" in text
+    assert "block  " not in text
+    assert "\nnote        the configuration says which inputs there are: points = " in text
 
 
 def test_simulate_on_a_serial_line(tmp_path: Path, config: Path) -> None:

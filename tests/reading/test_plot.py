@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 
 import mcapfiles as files
 import pytest
+from click.testing import CliRunner
 from mcapfiles import SECOND, T0
 
-from roclog.plot import _gather, plot_samples
+from roclog.cli.plot import plot
+from roclog.plot import _gather, _with_gaps, plot_samples
 from roclog.recording.reader import open_recording
 
 if TYPE_CHECKING:
@@ -53,3 +55,29 @@ def test_samples_on_their_own(tmp_path: Path) -> None:
 def test_nothing_to_draw(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no samples"):
         plot_samples([], tmp_path / "a.png")
+
+
+def test_one_channel_with_the_gaps_of_its_device(tmp_path: Path) -> None:
+    recording = open_recording(files.write_sealed(tmp_path / "a.mcap", ITEMS))
+    assert sorted(_with_gaps(recording, "/roc1/s*") or ()) == ["/roc1/gap", "/roc1/sample"]
+    with pytest.raises(ValueError, match="no channel"):
+        plot_samples(recording, tmp_path / "a.png", channel="/roc9/*")
+
+
+def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = files.write_sealed(tmp_path / "a.mcap", ITEMS)
+    picture = tmp_path / "a.png"
+    command = [str(source), "--out", str(picture)]
+    done = CliRunner().invoke(plot, command)
+    assert (done.exit_code, done.stdout) == (0, f"{picture}\n")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    done = CliRunner().invoke(plot, command)
+    assert done.exit_code == 2
+    assert "exists; --force replaces it" in done.stderr
+    assert CliRunner().invoke(plot, [*command, "--force"]).exit_code == 0
+    early = [*command, "--force", "--to", "2001-01-01"]
+    assert "no samples with numbers" in CliRunner().invoke(plot, early).stderr
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    done = CliRunner().invoke(plot, [*command, "--force"])
+    assert done.exit_code == 2
+    assert "pip install 'roclog[plot]' brings it" in done.stderr

@@ -70,6 +70,21 @@ poll = "1s"                     # shorter than the time between two samples of t
 # [devices.roc3]
 # profile = "hiac-roc"
 # connection = "gateway"
+
+# Any other device: its registers are described here, with addresses counted from 0.
+# [devices.meter]
+# profile = "registers"
+# connection = "simulator"
+# unit = 9
+# [[devices.meter.blocks]]
+# name = "flow"
+# table = "holding_registers"   # or input_registers, coils, discrete_inputs
+# address = 100
+# points = [
+#   {{ name = "rate", offset = 0, type = "float32", word_order = "CDAB", unit = "L/min" }},
+#   {{ name = "total", offset = 2, type = "uint32", scale = 0.01, unit = "m3" }},
+#   {{ name = "state", offset = 4, type = "uint16" }},
+# ]
 """
 
 

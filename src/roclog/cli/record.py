@@ -49,7 +49,9 @@ def record(config: Path, duration: int | None, *, quiet: bool) -> None:
     settings = load(config)
     talk_on_stderr(logging.WARNING if quiet else logging.INFO)
     where = settings.recording.directory
-    logging.getLogger("roclog").info("recording %d devices into %s", len(settings.devices), where)
+    count = len(settings.devices)
+    what = f"{count} devices" if count > 1 else next(iter(settings.devices))
+    logging.getLogger("roclog").info("recording %s into %s", what, where)
     seconds = None if duration is None else duration / 1e9
     asyncio.run(run(settings, SystemClock(), seconds))
 
