@@ -16,6 +16,8 @@ from roclog.quantities import parse_instant
 from roclog.runner import record
 from roclog.simulators import (
     PtyEndpoint,
+    SimulatedMpa48,
+    SimulatedMsxE3317,
     SimulatedRoc,
     SimulatedStampedInputs,
     SimulatorServer,
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from roclog.session import Session
+    from roclog.simulators import SimulatedDevice
+    from roclog.simulators.server import Endpoint
 
     _State = tuple[str, str, int]
 
@@ -35,18 +39,22 @@ SPEED: Final = 30
 """Simulated seconds in one second: the 15 s cycle of the counters takes half a second."""
 _LAST_SECOND: Final = 1.0
 """Simulated time stands still for the end of the demo, so that the last sample is read as well."""
-_DEVICES: Final = {"roc1": 138, "roc2": 139, "roc3": 138}
+_COUNTERS: Final = {"roc1": 138, "roc2": 139, "roc3": 138}
 STAMPED: Final = "rtu7"
 """The device with time-stamped inputs; it runs at real speed, since its clock is compared with the
-host's."""
+host's. So does MODULE."""
+ANALYSER: Final = "basin"
+MODULE: Final = "msx1"
+READ_ON_SCHEDULE: Final = (ANALYSER, MODULE)
+"""Devices of which every read is a sample."""
 _CHANGES_PER_SECOND: Final = 4
 _DATELESS: Final = 4
 """Octets of a stamp without a date."""
 
 _CONFIGURATION: Final = """\
-# The demo's configuration: two particle counters on one serial line, one behind TCP, and a device
-# with time-stamped inputs on UDP. The counters are simulated at {speed} times real speed, hence
-# their short cycle and poll.
+# The demo's configuration: two particle counters on one serial line, one behind TCP together with
+# an analyser at a basin, a pressure module on TCP and a device with time-stamped inputs on UDP.
+# Counters and analyser are simulated at {speed} times real speed, hence their short cycle and poll.
 
 [recording]
 directory = "recordings"
@@ -63,7 +71,12 @@ port = {port}
 [connections.station]
 transport = "udp"
 host = "127.0.0.1"
-port = {udp_port}
+port = {station_port}
+
+[connections.lab]
+transport = "tcp"
+host = "127.0.0.1"
+port = {lab_port}
 
 [devices.roc1]
 profile = "hiac-roc"
@@ -95,6 +108,18 @@ points = [
   {{ kind = "discrete_inputs", stamp = 7, address = 196, count = 22 }},
   {{ kind = "input_registers", stamp = 4, address = 8, count = 2 }},
 ]
+
+[devices.basin]
+profile = "mpa-48"
+connection = "plant"
+unit = 3
+poll = "500ms"
+sensors = {{ channel_1 = "model-15", channel_2 = "model-10" }}
+
+[devices.msx1]
+profile = "msx-e3317"
+connection = "lab"
+poll = "500ms"
 """
 
 
@@ -141,29 +166,31 @@ async def run_demo(paths: Paths, seconds: float, on_second: Callable[[Session], 
     async with AsyncExitStack() as stack:
         truths = {
             name: stack.enter_context(paths.truth(name).open("w", newline=""))
-            for name in (*_DEVICES, STAMPED)
+            for name in (*_COUNTERS, STAMPED, *READ_ON_SCHEDULE)
         }
-        plant = TcpEndpoint("127.0.0.1", 0)
+        plant, lab = TcpEndpoint("127.0.0.1", 0), TcpEndpoint("127.0.0.1", 0)
         station = UdpEndpoint("127.0.0.1", 0)
         link = paths.root.absolute() / "serial-line"
         inputs = SimulatedStampedInputs(seed=7, truth=truths[STAMPED], rate=_CHANGES_PER_SECOND)
-        servers = (
-            (_simulated(("roc1", "roc2"), truths), PtyEndpoint(str(link)), SPEED),
-            (_simulated(("roc3",), truths), plant, SPEED),
+        analyser = SimulatedMpa48(3, seed=3, truth=truths[ANALYSER])
+        module = SimulatedMsxE3317(seed=1, truth=truths[MODULE])
+        servers: tuple[tuple[list[SimulatedDevice], Endpoint, float], ...] = (
+            (_counters(("roc1", "roc2"), truths), PtyEndpoint(str(link)), SPEED),
+            ([*_counters(("roc3",), truths), analyser], plant, SPEED),
             ([inputs], station, 1),
+            ([module], lab, 1),
         )
         for devices, endpoint, speed in servers:
             server = SimulatorServer(devices, endpoint, speed=speed, clock=simulated_clock)
             await stack.enter_async_context(server)
-        text = _CONFIGURATION.format(
-            speed=SPEED, link=link, port=plant.port, udp_port=station.port, **_DEVICES
-        )
+        ports = {"port": plant.port, "station_port": station.port, "lab_port": lab.port}
+        text = _CONFIGURATION.format(speed=SPEED, link=link, **ports, **_COUNTERS)
         paths.configuration.write_text(text)
         await record(load(paths.configuration), SystemClock(), seconds, on_second)
 
 
-def _simulated(names: tuple[str, ...], truths: Mapping[str, TextIO]) -> list[SimulatedRoc]:
-    return [SimulatedRoc(_DEVICES[name], seed=int(name[-1]), truth=truths[name]) for name in names]
+def _counters(names: tuple[str, ...], truths: Mapping[str, TextIO]) -> list[SimulatedDevice]:
+    return [SimulatedRoc(_COUNTERS[name], seed=int(name[-1]), truth=truths[name]) for name in names]
 
 
 def compare(truth: Path, exported: Path) -> tuple[int, int]:
@@ -176,6 +203,25 @@ def compare(truth: Path, exported: Path) -> tuple[int, int]:
         if equal < len(made) and row == [_exact(made[equal][name]) for name in names]:
             equal += 1
     return len(made), equal
+
+
+def compare_reads(truth: Path, folder: Path, device: str) -> tuple[int, int]:
+    """Answers that the device gave, and how many of them the export has, in order and exact."""
+    made: defaultdict[str, list[dict[str, Decimal | str]]] = defaultdict(list)
+    answers: dict[tuple[str, str], dict[str, Decimal | str]] = {}
+    for row in _rows(truth):
+        key = row["block"], row["answer"]
+        if key not in answers:
+            answers[key] = {}
+            made[row["block"]].append(answers[key])
+        answers[key][row["name"]] = _exact(row["value"])
+    equal = 0
+    for block, told in made.items():
+        names = list(told[0])
+        rows = _rows(folder / f"{device}.{block}.csv")
+        found = [{name: _exact(row[name]) for name in names} for row in rows]
+        equal += sum(one == other for one, other in zip(told, found, strict=False))
+    return len(answers), equal
 
 
 def compare_changes(truth: Path, folder: Path) -> tuple[int, int]:
@@ -225,9 +271,9 @@ def _states(rows: Iterable[Mapping[str, str]]) -> defaultdict[tuple[str, str], l
 
 
 def _exact(text: str) -> Decimal | str:
-    """A number as a number, so that 144 and 144.0 are equal and 144.01 is not."""
+    """A number as a number, so that 144 and 144.0 are equal and 144.01 is not; truth as 1 or 0."""
     try:
-        return Decimal(text)
+        return Decimal({"true": "1", "false": "0"}.get(text, text))
     except InvalidOperation:
         return text
 

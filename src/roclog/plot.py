@@ -27,6 +27,7 @@ _GAPS: Final = {False: "gap: samples missing", True: "perhaps missing"}
 _INK: Final = "#33393f"
 _UNITS: Final = {"Cel": "°C", "1/mL": "particles per mL", "[ppm]": "ppm", "s": "s", "1": ""}
 _NAMES: Final = {"iso_code": "ISO 4406 code", "count": "count"}
+_TIMES: Final = frozenset({"s", "us", "ms", "min", "h"})
 _MOST_PANELS: Final = 12
 _MOST_COLUMNS: Final = 4
 _MARKERS_BELOW: Final = 120
@@ -52,6 +53,12 @@ class Panel:
         return f"{text}\n({shown})" if shown else text
 
     @property
+    def is_measured(self) -> bool:
+        """A quantity, not a state or a number of something."""
+        name, unit = self.key
+        return name == "iso_code" or bool(unit)
+
+    @property
     def is_logarithmic(self) -> bool:
         """Counts of particles span decades; everything else is drawn as it is."""
         if self.key[1] != "1/mL":
@@ -70,8 +77,9 @@ def plot_samples(
 ) -> Path:
     """Draw numbers over time, a panel for each device and quantity, as a PNG.
 
-    Of a recording: ISO codes and counts of devices with a flag, then whatever has a unit; gaps are
-    shaded. Samples on their own have no units; then numbered points make the panels.
+    Of a recording: ISO codes and counts of devices with a flag, then whatever has a unit, and only
+    where there is none of these, other numbers; gaps are shaded. Samples on their own have no
+    units; then numbered points make the panels. The title says it when not all could be drawn.
 
     channel, start, end: as of ``Recording.samples``; of a recording only.
 
@@ -88,7 +96,11 @@ def plot_samples(
     panels, gaps = _gather(records, channels)
     if not panels:
         raise ValueError("no samples with numbers that could be drawn")
-    _draw(panels, gaps, _title(panels, source), Path(path))
+    shown = panels[:_MOST_PANELS]
+    title = _title(shown, source)
+    if len(panels) > len(shown):
+        title += f"  ·  {len(shown)} of {len(panels)} quantities"
+    _draw(shown, gaps, title, Path(path))
     return Path(path)
 
 
@@ -118,11 +130,13 @@ def _gather(
                     value = record.values.get(name)
                     values.append(float(value) if isinstance(value, int | float) else _NAN)
     found = [panel for of_topic in panels.values() for panel in of_topic]
-    return sorted(found, key=lambda panel: (panel.device, *_rank(panel)))[:_MOST_PANELS], gaps
+    best = [panel for panel in found if panel.is_measured] or found
+    return sorted(best, key=lambda panel: (panel.device, *_rank(panel))), gaps
 
 
 def _panels(sample: Sample, channel: Channel | None) -> list[Panel]:
-    """Empty ones: for ISO codes and what has a unit. Without units: what is numbered, or all.
+    """Empty ones: for ISO codes and what has a unit other than of time. Without units: what is
+    numbered, or all.
 
     None for changes of inputs, whose numbers are those of another input from message to message,
     and for clock offsets, which are about the device and not what it measures.
@@ -130,12 +144,14 @@ def _panels(sample: Sample, channel: Channel | None) -> list[Panel]:
     is_change = sample.values.keys() >= {"address", "change", "time_octets"}
     if is_change or (channel is not None and channel.schema == "roclog.ClockOffset"):
         return []
-    units: Mapping[str, str] = channel.units if channel is not None else {}
+    given: Mapping[str, str] = channel.units if channel is not None else {}
+    units = {name: unit for name, unit in given.items() if unit not in _TIMES}
     panels: dict[tuple[str, str], Panel] = {}
     for name, value in sample.values.items():
         unit = units.get(name, "")
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        wanted = (unit and unit != "s") or not units or name.startswith("iso_code")
+        is_time = name in given and not unit
+        wanted = unit or name.startswith("iso_code") or not (units or is_time)
         if is_number and wanted:
             match = _NUMBERED.fullmatch(name)
             key = (match[1] if match else name, unit)
@@ -178,6 +194,8 @@ def _draw(panels: list[Panel], gaps: list[Gap], title: str, path: Path) -> None:
         "path.simplify": True,
     }
     columns = _columns(panels)
+    alike = len({tuple(panel.key for panel in column) for column in columns}) == 1
+    several = len({panel.device for panel in panels}) > 1
     deepest = max(columns, key=len)
     heights = [1.3 if len(panel.lines) > 1 else 0.8 for panel in deepest]
     size = (3.5 + 7.5 * min(len(columns), 2.2), 1.4 + 2.3 * sum(heights))
@@ -188,16 +206,19 @@ def _draw(panels: list[Panel], gaps: list[Gap], title: str, path: Path) -> None:
             len(deepest),
             len(columns),
             sharex=True,
-            sharey="row" if len(columns) > 1 else False,
+            sharey="row" if len(columns) > 1 and alike else False,
             squeeze=False,
             gridspec_kw={"height_ratios": heights},
         )
-        for column, axes in zip(columns, grid.T, strict=True):
+        for column, axes, beside in zip(columns, grid.T, [*columns[1:], []], strict=True):
             shaded = [gap for gap in gaps if gap.device == column[0].device]
-            for panel, axis in zip(column, axes, strict=False):
-                _draw_panel(axis, panel, shaded, legend=panel is column[0])
-                if column is not columns[-1] and axis.get_legend() is not None:
+            for row, (panel, axis) in enumerate(zip(column, axes, strict=False)):
+                _draw_panel(axis, panel, shaded, legend=row == 0)
+                is_repeated = row < len(beside) and beside[row].key == panel.key
+                if is_repeated and axis.get_legend() is not None:
                     axis.get_legend().remove()
+                if several and len(columns) == 1:
+                    axis.set_title(panel.device, loc="left", fontsize=10, fontweight="bold")
             for axis in axes[len(column) :]:
                 axis.set_axis_off()
             _draw_time(axes[len(column) - 1], column)
@@ -208,12 +229,13 @@ def _draw(panels: list[Panel], gaps: list[Gap], title: str, path: Path) -> None:
 
 
 def _columns(panels: list[Panel]) -> list[list[Panel]]:
-    """A column for each device while their panels are the same, else all in one."""
+    """A column for each device while these are few, else all in one. Those alike side by side."""
     devices: dict[str, list[Panel]] = {}
     for panel in panels:
         devices.setdefault(panel.device, []).append(panel)
-    alike = len({tuple(panel.key for panel in column) for column in devices.values()}) == 1
-    return list(devices.values()) if alike and len(devices) <= _MOST_COLUMNS else [panels]
+    if len(devices) > _MOST_COLUMNS:
+        return [panels]
+    return sorted(devices.values(), key=lambda column: [_rank(panel) for panel in column])
 
 
 def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap], *, legend: bool) -> None:

@@ -11,8 +11,9 @@ from click.testing import CliRunner
 from mcapfiles import SECOND, T0
 
 from roclog.cli.plot import plot
-from roclog.plot import _gather, _with_gaps, plot_samples
+from roclog.plot import _columns, _gather, _with_gaps, plot_samples
 from roclog.recording.reader import open_recording
+from roclog.recording.records import Channel, Sample
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -81,3 +82,61 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done = CliRunner().invoke(plot, [*command, "--force"])
     assert done.exit_code == 2
     assert "pip install 'roclog[plot]' brings it" in done.stderr
+
+
+def channel(device: str, block: str, units: dict[str, str]) -> Channel:
+    return Channel(
+        topic=f"/{device}/{block}",
+        device=device,
+        block=block,
+        profile="registers",
+        kind="sample",
+        fields=(),
+        units=units,
+        flagged=False,
+        schema="a",
+    )
+
+
+def read(device: str, block: str, **values: float) -> Sample:
+    topic = f"/{device}/{block}"
+    return Sample(
+        topic=topic, device=device, block=block, log_time=T0, publish_time=T0, seq=1, values=values
+    )
+
+
+def gathered(units: dict[str, str], **values: float) -> list[tuple[str, str]]:
+    channels = {"/a/b": channel("a", "b", units)}
+    return [panel.key for panel in _gather([read("a", "b", **values)], channels)[0]]
+
+
+def test_what_has_a_unit_comes_before_what_has_none() -> None:
+    assert gathered({"flow": "L/min"}, flow=1.0, state=2) == [("flow", "L/min")]
+    assert gathered({}, flow=1.0, state=2) == [("flow", ""), ("state", "")]
+    # Seconds and microseconds of a clock are no measurement.
+    assert gathered({"seconds": "s", "rest": "us"}, seconds=1, rest=2, state=3) == [("state", "")]
+    both = {"/a/b": channel("a", "b", {}), "/a/c": channel("a", "c", {"flow": "L/min"})}
+    panels, _ = _gather([read("a", "b", state=1), read("a", "c", flow=1.0)], both)
+    assert [panel.key for panel in panels] == [("flow", "L/min")]
+
+
+def test_a_column_for_each_device_those_alike_side_by_side() -> None:
+    units = {"/a/b": "bar", "/m/b": "V", "/z/b": "bar"}
+    channels = {topic: channel(topic[1], "b", {"x": unit}) for topic, unit in units.items()}
+    panels, _ = _gather([read(topic[1], "b", x=1.0) for topic in units], channels)
+    assert [[panel.device for panel in column] for column in _columns(panels)] == [
+        ["a"],
+        ["m"],
+        ["z"],
+    ]
+    many = {f"/{name}/b": channel(name, "b", {"x": "bar"}) for name in "abcde"}
+    panels, _ = _gather([read(name, "b", x=1.0) for name in "abcde"], many)
+    assert [len(column) for column in _columns(panels)] == [5]
+
+
+def test_the_title_says_what_was_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    titles = []
+    monkeypatch.setattr("roclog.plot._draw", lambda *found: titles.append(found[2]))
+    values = {f"x{chr(97 + n)}": 1.0 for n in range(15)}
+    plot_samples([read("a", "b", **values)], tmp_path / "a.png")
+    assert titles == ["a  ·  12 of 15 quantities"]

@@ -7,11 +7,13 @@ import logging
 import sys
 import time
 from contextlib import contextmanager
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
+from roclog.cli import output
 from roclog.cli.record import duration_option
 from roclog.errors import StorageError
 
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 
     from roclog.demo import Paths
     from roclog.recording.reader import Recording
+    from roclog.recording.records import Sample
     from roclog.session import Session
 
 
@@ -43,10 +46,10 @@ if TYPE_CHECKING:
 def demo(duration: int, out: Path) -> None:
     """Record simulated devices and show what comes out.
 
-    Three particle counters, two on one serial line (a pseudo terminal) and one behind TCP, at 30
-    times their real speed, and a device with time-stamped inputs on UDP. They are recorded as real
-    ones would be; at the end the exported CSV is compared with what the simulators made. Needs no
-    hardware, no configuration and no root.
+    Three particle counters and an analyser at 30 times their real speed, two of them on one serial
+    line (a pseudo terminal), the others behind TCP; a pressure module on TCP and a device with
+    time-stamped inputs on UDP. They are recorded as real ones would be; at the end the exported CSV
+    is compared with what the simulators made. Needs no hardware, no configuration and no root.
 
     \b
     Example:
@@ -59,8 +62,7 @@ def demo(duration: int, out: Path) -> None:
         raise click.UsageError("--for must be at least 3s: a simulated sample takes half a second")
     paths = Paths(_new_folder(out))
     logging.getLogger("roclog").addHandler(logging.NullHandler())
-    what = "three particle counters and a device with time-stamped inputs"
-    click.echo(f"simulating {what}, recording for {seconds:g} s", err=True)
+    click.echo(f"simulating six devices of four kinds, recording for {seconds:g} s", err=True)
     with _progress(seconds) as on_second:
         asyncio.run(run_demo(paths, seconds, on_second))
     exact = _report(paths)
@@ -107,28 +109,18 @@ def _report(paths: Paths) -> bool:
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
-    from roclog.demo import STAMPED  # noqa: PLC0415
     from roclog.export import export  # noqa: PLC0415
     from roclog.recording.reader import open_recording  # noqa: PLC0415
 
     recording = open_recording(paths.recordings)
     export(recording, paths.csv, form="csv")
     table = Table(box=None, pad_edge=False)
-    for heading in (
-        "device",
-        "made",
-        "recorded",
-        "identical",
-        "cleared",
-        "gaps",
-        "ISO codes 4/6/14/21",
-    ):
-        table.add_column(heading, justify="left" if heading == "device" else "right")
+    for heading in ("device", "made", "recorded", "identical", "cleared", "gaps", "at the end"):
+        left = heading in ("device", "at the end")
+        table.add_column(heading, justify="left" if left else "right")
     exact = True
     for device in sorted(recording.devices):
-        row = (
-            _stamped(recording, paths) if device == STAMPED else _counter(recording, paths, device)
-        )
+        row = _compared(recording, paths, device)
         exact = exact and row.exact
         table.add_row(device, *row.cells)
     Console().print(table)
@@ -143,6 +135,15 @@ class _Row(NamedTuple):
     cells: tuple[str, ...]
 
 
+def _compared(recording: Recording, paths: Paths, device: str) -> _Row:
+    from roclog.demo import READ_ON_SCHEDULE, STAMPED  # noqa: PLC0415
+
+    if device == STAMPED:
+        return _stamped(recording, paths)
+    compared = _scheduled if device in READ_ON_SCHEDULE else _counter
+    return compared(recording, paths, device)
+
+
 def _counter(recording: Recording, paths: Paths, device: str) -> _Row:
     from roclog.demo import compare  # noqa: PLC0415
 
@@ -152,7 +153,7 @@ def _counter(recording: Recording, paths: Paths, device: str) -> _Row:
     gaps = sum(1 for _ in recording.gaps(device=device))
     codes = " ".join(f"{samples[-1].values[f'iso_code_{n}']:.1f}" for n in range(1, 5))
     same = made == equal == len(samples)
-    return _row(made, len(samples), str(cleared), gaps, codes, same=same)
+    return _row(made, len(samples), str(cleared), gaps, f"ISO codes {codes}", same=same)
 
 
 def _stamped(recording: Recording, paths: Paths) -> _Row:
@@ -160,9 +161,40 @@ def _stamped(recording: Recording, paths: Paths) -> _Row:
     from roclog.demo import STAMPED, compare_changes  # noqa: PLC0415
 
     made, equal = compare_changes(paths.truth(STAMPED), paths.csv)
-    count = sum(1 for sample in recording.samples(device=STAMPED) if "change" in sample.values)
+    samples = [sample for sample in recording.samples(device=STAMPED) if "change" in sample.values]
     gaps = sum(1 for gap in recording.gaps(device=STAMPED) if not gap.possible)
-    return _row(made, count, "-", gaps, "-", same=made == equal == count)
+    last = samples[-1].values
+    text = f"input {last['address']} is {last['value']}"
+    same = made == equal == len(samples)
+    return _row(made, len(samples), "-", gaps, text, same=same)
+
+
+def _scheduled(recording: Recording, paths: Paths, device: str) -> _Row:
+    """Every answer is a sample."""
+    from roclog.demo import compare_reads  # noqa: PLC0415
+
+    made, equal = compare_reads(paths.truth(device), paths.csv, device)
+    samples = list(recording.samples(device=device))
+    gaps = sum(1 for _ in recording.gaps(device=device))
+    same = made == equal == len(samples)
+    return _row(made, len(samples), "-", gaps, _last(samples, recording), same=same)
+
+
+def _last(samples: list[Sample], recording: Recording) -> str:
+    """The device's own time, or the last measurements that have a unit."""
+    for sample in reversed(samples):
+        if sample.device_time is not None:
+            return f"{sample.block} {output.instant(sample.device_time)}"
+        units = recording.channels[sample.topic].units
+        known = [(name, sample.values[name], unit.strip("[]")) for name, unit in units.items()]
+        texts = [
+            f"{name.replace('_', ' ')} {value:g} {unit}"
+            for name, value, unit in known
+            if isinstance(value, float) and isfinite(value)
+        ]
+        if texts:
+            return ", ".join(texts)
+    return "-"
 
 
 def _row(made: int, count: int, cleared: str, gaps: int, codes: str, *, same: bool) -> _Row:
