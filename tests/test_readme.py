@@ -21,6 +21,12 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
 
 
+def named_files() -> dict[str, str]:
+    """Files that the reader is asked to write."""
+    found = re.findall(r"^`([\w.-]+)`:\n\n```\w+\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
+    return dict(found)
+
+
 def commands() -> list[str]:
     lines = [line for block in blocks("console") for line in block.splitlines()]
     return [line[2:].partition("  #")[0].strip() for line in lines if line.startswith("$ ")]
@@ -33,6 +39,8 @@ def test_the_readme_works(tmp_path: Path) -> None:
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "COLUMNS": "120",
     }
+    for name, text in named_files().items():
+        (tmp_path / name).write_text(text)
     background: list[subprocess.Popen[bytes]] = []
     ran = []
     try:
