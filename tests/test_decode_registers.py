@@ -430,6 +430,41 @@ def instant(text: str) -> int:
     return int(datetime.fromisoformat(text).astimezone(UTC).timestamp()) * 10**9
 
 
+@pytest.mark.parametrize(
+    ("time", "words", "text"),
+    [
+        (UnixSeconds(offset=0), [0xFFFF, 0xFFFF], "2106-02-07T06:28:15+00:00"),
+        (UnixSeconds(offset=0, epoch=946_684_800), [0, 1], "2000-01-01T00:00:01+00:00"),
+        (
+            SplitCalendar(year_month=0, day_hour=1, minute_second=2, year_base=2000),
+            [0x1802, 0x1D17, 0x3B3B],
+            "2024-02-29T23:59:59+00:00",
+        ),
+        (SplitCalendar(year=0, month_day=1, hour=2), [2100, 0x021C, 23], "2100-02-28T23:00:00Z"),
+        (SplitCalendar(year=0, month_day=1, hour=2), [2100, 0x021D, 23], None),
+        (SplitCalendar(year=0, month_day=1, hour=2), [2024, 0x021D, 24], None),
+        (SplitCalendar(year=0, month_day=1, hour=2), [2262, 0x040C, 0], None),
+    ],
+)
+def test_times_at_their_edges(time: Any, words: list[int], text: str | None) -> None:
+    decoded = decode(block(count=len(words), time=time), words)
+    assert decoded.device_time == (0 if text is None else instant(text))
+    assert decoded.time_flags == (TimeFlag.DATE_INVALID if text is None else TimeFlag(0))
+
+
+@pytest.mark.parametrize(
+    ("name", "largest"), [("millisecond", 999), ("millisecond_of_minute", 59_999)]
+)
+def test_the_last_millisecond(name: str, largest: int) -> None:
+    place: dict[str, Any] = {name: 3}
+    time = SplitCalendar(year=0, month_day=1, hour_minute=2, **place)
+    day = [2024, 0x021D, 0x173B]
+    decoded = decode(block(count=4, time=time), [*day, largest])
+    assert decoded.device_time == instant("2024-02-29T23:59:00+00:00") + largest * 10**6
+    decoded = decode(block(count=4, time=time), [*day, largest + 1])
+    assert (decoded.device_time, decoded.time_flags) == (0, TimeFlag.DATE_INVALID)
+
+
 def test_a_calendar_in_local_time() -> None:
     time = SplitCalendar(year=0, month_day=1, hour_minute=2, zone="Europe/Berlin")
     made = block(count=3, time=time)

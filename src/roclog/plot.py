@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from glob import escape
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeGuard
 
 from roclog.recording.reader import Recording
 from roclog.recording.records import Gap, Sample
@@ -44,6 +44,7 @@ class Panel:
     key: tuple[str, str]
     lines: dict[str, array[float]] = field(default_factory=dict)
     times: array[int] = field(default_factory=lambda: array("q"))
+    is_fraction: bool = False
 
     @property
     def label(self) -> str:
@@ -53,10 +54,15 @@ class Panel:
         return f"{text}\n({shown})" if shown else text
 
     @property
+    def has_numbers(self) -> bool:
+        """Whether there is anything to draw; missing values are NaN."""
+        return any(value == value for values in self.lines.values() for value in values)  # noqa: PLR0124
+
+    @property
     def is_measured(self) -> bool:
         """A quantity, not a state or a number of something."""
         name, unit = self.key
-        return name == "iso_code" or bool(unit)
+        return name == "iso_code" or bool(unit) or self.is_fraction
 
     @property
     def is_logarithmic(self) -> bool:
@@ -128,15 +134,19 @@ def _gather(
                 panel.times.append(record.log_time)
                 for name, values in panel.lines.items():
                     value = record.values.get(name)
-                    values.append(float(value) if isinstance(value, int | float) else _NAN)
-    found = [panel for of_topic in panels.values() for panel in of_topic]
+                    values.append(float(value) if _is_number(value) else _NAN)
+    found = [panel for of_topic in panels.values() for panel in of_topic if panel.has_numbers]
     best = [panel for panel in found if panel.is_measured] or found
     return sorted(best, key=lambda panel: (panel.device, *_rank(panel))), gaps
 
 
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def _panels(sample: Sample, channel: Channel | None) -> list[Panel]:
-    """Empty ones: for ISO codes and what has a unit other than of time. Without units: what is
-    numbered, or all.
+    """Empty ones: for ISO codes, what has a unit other than of time, and beside it numbers with
+    decimals, which are measurements without a unit. Without units: what is numbered, or all.
 
     None for changes of inputs, whose numbers are those of another input from message to message,
     and for clock offsets, which are about the device and not what it measures.
@@ -149,13 +159,14 @@ def _panels(sample: Sample, channel: Channel | None) -> list[Panel]:
     panels: dict[tuple[str, str], Panel] = {}
     for name, value in sample.values.items():
         unit = units.get(name, "")
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        can_be_drawn = value is None or _is_number(value)  # None: not measured this time
         is_time = name in given and not unit
-        wanted = unit or name.startswith("iso_code") or not (units or is_time)
-        if is_number and wanted:
+        is_fraction = isinstance(value, float) and bool(units) and not is_time
+        wanted = unit or name.startswith("iso_code") or is_fraction or not (units or is_time)
+        if can_be_drawn and wanted:
             match = _NUMBERED.fullmatch(name)
             key = (match[1] if match else name, unit)
-            panel = panels.setdefault(key, Panel(sample.device, key))
+            panel = panels.setdefault(key, Panel(sample.device, key, is_fraction=is_fraction))
             panel.lines[name] = array("d")
     series = [panel for panel in panels.values() if len(panel.lines) > 1]
     return series if series and not units else list(panels.values())

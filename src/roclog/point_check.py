@@ -65,17 +65,24 @@ def point_flaws(point: Point, block: Block, index: int) -> Iterator[tuple[str, s
     """(attribute, what is wrong with it), for the point at ``index`` of its block."""
     for name in point.field_names:
         if not NAME.fullmatch(name) or name in RESERVED_NAMES:
-            yield ("name" if name == point.name else "bits"), f"{name!r} cannot be a name"
+            why = ", every sample has a field of that name" if name in RESERVED_NAMES else ""
+            yield ("name" if name == point.name else "bits"), f"{name!r} cannot be a name{why}"
     size = block.size_of(point)
     if point.offset < 0 or size < 1 or point.offset + size > block.count:
         what = "bits" if block.table.has_bits else "octets" if block.packed else "words"
-        yield "offset", f"offset {point.offset} with {size} {what} is outside the block"
+        text = f"offset {point.offset} with {size} {what} is outside the block, which has"
+        yield "offset", f"{text} {block.count}"
     if point.words and not point.type.has_length:
         yield "words", "only text and bytes have a number of words"
     if (point.type is WordType.BIT) != block.table.has_bits:
-        yield "type", f"{point.type} is not a type of {block.table.replace('_', ' ')}"
+        bits = point.type is WordType.BIT
+        hint = "; name the bits of a register with bits" if bits else ", those are bits"
+        yield "type", f"{point.type} is not a type of {block.table.replace('_', ' ')}{hint}"
     if not _UNIT.fullmatch(point.unit):
-        yield "unit", f"unit {point.unit!r} is not UCUM: degrees Celsius are Cel, micro is u"
+        yield (
+            "unit",
+            f"unit {point.unit!r} is not UCUM: no blanks, degrees Celsius are Cel, micro is u",
+        )
     judged = point.low is not None or point.type in _JUDGED
     if (judged or point.can_be_missing) and index >= MAX_RANGED_POINTS:
         text = (

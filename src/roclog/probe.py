@@ -12,7 +12,7 @@ from roclog.decode import Decoded, decode
 from roclog.errors import DeviceError, ExceptionAnswer
 from roclog.modbus.stamped import Layout, parse, split
 from roclog.polling.facts import read_words
-from roclog.polling.refusal import described
+from roclog.polling.refusal import described, is_refusal
 from roclog.polling.stamped_table import oldest_baseline, stamp_decoder
 from roclog.register_map import ClearOnRead
 
@@ -27,21 +27,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class BlockRead:
-    """One block of one device, or why it could not be read (then ``decoded`` is None)."""
+    """One block of one device, or why it could not be read (then ``decoded`` is None).
+
+    refused: the device itself said no.
+    """
 
     block: Block
     registers: tuple[int, ...]
     decoded: Decoded | None
     problem: str = ""
+    refused: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class ProbeResult:
-    """Whether a device answered, and who it says it is or what went wrong."""
+    """Whether a device gave its data, and who it says it is or what went wrong.
+
+    refused: it is there, and said no.
+    """
 
     device: str
     ok: bool
     text: str
+    refused: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +143,10 @@ async def _probe_device(bus: Bus, device: Device) -> ProbeResult:
         texts = [] if read.decoded is None else [v for v in read.decoded.values if v]
         said = [v.strip() for v in texts if isinstance(v, str) and v.strip()]
         text = read.problem or ", ".join(said) or f"block {read.block.name} was read"
+        if read.refused:
+            text = f"{_place(read.block)}: {text}"
         ok = read.decoded is not None
-        return ProbeResult(device.name, ok=ok, text=text)
+        return ProbeResult(device.name, ok=ok, text=text, refused=read.refused)
     for inputs in device.profile.stamped[:1]:
         request = split(inputs.mei, inputs.address, inputs.count)[0]
         stamped = await _read_stamped(bus, device, inputs, request)
@@ -153,7 +163,14 @@ async def _read(bus: Bus, device: Device, block: Block) -> BlockRead:
         registers = await read_words(block, device, bus, Tally())
     except ExceptionAnswer as refusal:
         text = await described(refusal, device.unit, bus, Tally(), device.profile.dialect)
-        return BlockRead(block, (), None, text)
+        return BlockRead(block, (), None, text, refused=is_refusal(refusal))
     except DeviceError as error:
         return BlockRead(block, (), None, str(error))
     return BlockRead(block, registers, decode(block, registers, device.word_order))
+
+
+def _place(block: Block) -> str:
+    if block.packed:
+        return f"function {block.address} ({block.name})"
+    what = block.table.replace("_", " ")
+    return f"{what} {block.address} to {block.address + block.count - 1} ({block.name})"

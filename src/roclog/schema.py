@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 from google.protobuf import descriptor_pb2
@@ -357,6 +357,7 @@ CLOCK_OFFSET: Final = MessageType(
 that is not known. For people; no time stamp is ever corrected by it."""
 
 
+@lru_cache(maxsize=256)
 def sample_type(profile: str, block: Block) -> MessageType:
     """Message type of a block's samples; ``raw`` holds the registers as on the wire."""
     name = f"roclog.{profile.replace('-', '_')}.{camel_case(block.message or block.name)}"

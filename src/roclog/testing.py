@@ -88,7 +88,8 @@ def decode_block(
 
     Raises:
         KeyError: the map has no such block.
-        ValueError: not hexadecimal, not as many octets as the block has, registers outside it.
+        ValueError: not hexadecimal, not as many octets as the block has, registers outside it or
+            given twice.
     """
     found = register_map.block(block)
     order = word_order or _usual_order(register_map)
@@ -140,6 +141,8 @@ def _given(block: Block, words: Mapping[int, str]) -> dict[int, int]:
                 f"{block.address} to {last}"
             )
         for index in range(count):
+            if first + index in given:
+                raise ValueError(f"register {address + index} is given twice")
             given[first + index] = int.from_bytes(octets[2 * index : 2 * index + 2])
     return given
 

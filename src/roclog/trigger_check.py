@@ -73,6 +73,8 @@ def _clear_on_read(trigger: ClearOnRead) -> Iterator[str]:
         yield f"clear on read: address {trigger.address} does not exist"
     if not 1 <= trigger.mask <= 0xFFFF:
         yield f"clear on read: mask {trigger.mask} is not 1 to 65535"
+    elif trigger.table.has_bits and not (trigger.mask & 1 and trigger.new <= 1):
+        yield f"clear on read: a bit AND {trigger.mask} is never {trigger.new}, needed is mask 1"
     elif trigger.new & ~trigger.mask:
         yield f"clear on read: the flag can never be {trigger.new} with mask {trigger.mask}"
 

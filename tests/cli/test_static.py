@@ -14,6 +14,7 @@ import socket
 import subprocess
 import sys
 import time
+from decimal import Decimal
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +26,10 @@ from click.testing import CliRunner
 from roclog.cli import COMMANDS, cli
 from roclog.cli.check import look_at
 from roclog.cli.init import configuration, serial_ports
+from roclog.cli.profiles import _rows
+from roclog.cli.read import _print_block
 from roclog.config import bus_loads, load, warnings
+from roclog.decode import decode
 from roclog.devices import CONFIGURED, PROFILES
 from roclog.errors import (
     ConfigError,
@@ -36,6 +40,8 @@ from roclog.errors import (
     StorageError,
     WriteRefused,
 )
+from roclog.probe import BlockRead
+from roclog.register_map import Block, Point, Table, UnixSeconds, WordOrder, WordType
 
 if TYPE_CHECKING:
     from click.testing import Result
@@ -427,10 +433,31 @@ def test_profile_names_every_point_and_address() -> None:
     assert found["blocks"][2]["trigger"] == {"address": 300, "new": 1, "clear": 0}
 
 
+def test_profile_says_all_that_makes_a_value() -> None:
+    text = invoke("profiles", "mpa-48").stdout
+    assert re.search(r" orp +uint16 +1 - 2000 +mV .*; only where status is 0$", text, re.MULTILINE)
+    point = Point(
+        name="level",
+        offset=3,
+        type=WordType.U32,
+        word_order=WordOrder.CDAB,
+        parts=((4, 3, "mode"),),
+        sentinels=((Decimal(-1), "no sensor"),),
+    )
+    block = Block(name="b", table=Table.INPUT_REGISTERS, address=100, count=9, points=(point,))
+    assert list(_rows(block, point, is_function=False)) == [
+        ("103", "2", "level", "uint32 CDAB", "", "", "", "no measurement: -1 = no sensor"),
+        ("", "", "mode", "bits 4-6", "", "", "", ""),
+    ]
+
+
 def test_profile_that_is_not_there() -> None:
     result = invoke("profiles", "hiac_roc")
     assert result.exit_code == 2
     assert "no profile 'hiac_roc', did you mean 'hiac-roc'?" in result.stderr
+    result = invoke("profiles", "registers")
+    assert result.exit_code == 2
+    assert "registers has no map to show: its map stands in a config" in result.stderr
 
 
 def test_profile_on_a_terminal() -> None:
@@ -537,6 +564,68 @@ class Simulation:
         return self.process.returncode, rest
 
 
+def test_a_refusal_is_not_silence(config: Path) -> None:
+    simulation = Simulation("hiac-roc", "--tcp", "127.0.0.1:0")
+    port = simulation.line.partition("127.0.0.1:")[2].split()[0]
+    config.write_text(
+        f"[connections.bus]\ntransport = 'tcp'\nhost = '127.0.0.1'\nport = {port}\n"
+        "[devices.meter]\nprofile = 'registers'\nconnection = 'bus'\nunit = 138\n"
+        "[[devices.meter.blocks]]\nname = 'oil'\ntable = 'holding_registers'\naddress = 40317\n"
+        "points = [{ name = 'iso', offset = 0, type = 'float32' }]\n"
+    )
+    result = invoke("check", config, "--probe")
+    as_json = invoke("check", config, "--probe", "--json")
+    assert simulation.stop(signal.SIGTERM) == (0, "")
+    assert result.exit_code == 4
+    assert result.stderr == (
+        f"roclog: warning: {config.name}: devices.meter.blocks: oil: address 40317 is asked for as "
+        "it is; a manual that counts holding registers from 40001 means address 316\n"
+        "roclog: no device gave its data\n"
+    )
+    place = "holding registers 40317 to 40318 (oil)"
+    text = f"{place}: exception 2 (illegal data address) to function 3"
+    assert result.stdout.endswith(f"refuses     meter: {text}\n")
+    assert json.loads(as_json.stdout)["probe"] == [
+        {"device": "meter", "ok": False, "refused": True, "text": text}
+    ]
+
+
+def test_a_float32_is_read_with_its_own_digits(capsys: pytest.CaptureFixture[str]) -> None:
+    points = (
+        Point(name="voltage", offset=0, type=WordType.F32, unit="V"),
+        Point(name="scaled", offset=2, type=WordType.F32, scale=Decimal("0.1")),
+        Point(name="none", offset=4, type=WordType.F32),
+    )
+    block = Block(name="b", table=Table.INPUT_REGISTERS, address=7, count=6, points=points)
+    words = (0x4368, 0x9836, 0x4316, 0x0000, 0x7FC0, 0x0000)
+    _print_block(BlockRead(block, words, decode(block, words)), is_function=False)
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["7", "4368", "9836", "voltage", "232.59457", "V"] in lines
+    assert ["9", "4316", "0000", "scaled", "15.0"] in lines
+    assert ["11", "7FC0", "0000", "none", "nan"] in lines
+
+
+def test_what_is_read_is_judged_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    bits = {"bits": ((0, "running"),), "parts": ((8, 4, "mode"),)}
+    ranged = {"low": Decimal(0), "high": Decimal(5), "unit": "bar"}
+    points = (
+        Point(name="state", offset=0, type=WordType.U16, **bits),  # type: ignore[arg-type]
+        Point(name="flow", offset=1, type=WordType.F32),
+        Point(name="pressure", offset=3, type=WordType.U16, **ranged),  # type: ignore[arg-type]
+    )
+    time = UnixSeconds(offset=4)
+    block = Block(
+        name="b", table=Table.INPUT_REGISTERS, address=7, count=6, points=points, time=time
+    )
+    words = (0x0301, 0x7F80, 0x0000, 6, 0, 0)
+    _print_block(BlockRead(block, words, decode(block, words)), is_function=False)
+    text = " ".join(capsys.readouterr().out.split())  # however wide the terminal is
+    assert "7 0301 state 769 running, mode 3" in text
+    assert "8 7F80 0000 flow inf not plausible as float32." in text
+    assert "10 0006 pressure 6 bar outside the documented range 0 to 5." in text
+    assert text.endswith("device time unknown, no_time")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_simulate_tcp_and_probe_it(number: int, config: Path) -> None:
     simulation = Simulation("hiac-roc", "hiac-roc:139", "--tcp", "127.0.0.1:0", "--speed", "20")
@@ -597,8 +686,11 @@ def test_simulate_a_module_in_its_byte_order(transport: str, order: str, config:
 def test_profile_of_a_module() -> None:
     text = invoke("profiles", "msx-e3317").stdout
     assert "delivered   unit 1, TCP and UDP only, port 512\n" in text
-    assert "block       clock: function 10500, 4 words, called at every poll\n" in text
-    assert "channels_info: function 15050, 96 words, called every 1min\n" in text
+    assert "block       clock: function 10500, 8 octets, called at every poll\n" in text
+    assert "time        SecondsMicroseconds in octets from 0, 4 on\n" in text
+    assert not re.search("^ *10502 ", text, re.MULTILINE)  # would be another function
+    assert re.search("^ +4 +2 +microseconds +uint32 ", text, re.MULTILINE)
+    assert "channels_info: function 15050, 192 octets, called every 1min\n" in text
     assert "silence" not in text
     (found,) = json.loads(invoke("profiles", "msx-e3317", "--json").stdout)["profiles"]
     assert (found["port"], found["serial"]) == (512, None)

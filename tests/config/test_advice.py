@@ -142,3 +142,36 @@ def test_what_needs_several_requests_and_flags_in_coils_are_counted(load_text: L
 def test_no_bus_load_on_a_network(load_text: Load) -> None:
     assert bus_loads(load_text(TCP + ROC)) == []
     assert bus_loads(load_text(TCP.replace("tcp", "udp") + ROC)) == []
+
+
+@pytest.mark.parametrize(
+    ("table", "address", "index"),
+    [
+        ("holding_registers", 40317, 316),
+        ("input_registers", 30001, 0),
+        ("discrete_inputs", 10197, 196),
+    ],
+)
+def test_an_address_that_looks_like_a_label(
+    load_text: Callable[[str], Settings], table: str, address: int, index: int
+) -> None:
+    kind = "bit" if table == "discrete_inputs" else "uint16"
+
+    def told(where: str, at: int, type_: str) -> list[str]:
+        text = (
+            "[connections.net]\ntransport = 'tcp'\nhost = '10.0.0.1'\n[devices.tank]\n"
+            "profile = 'registers'\nconnection = 'net'\nunit = 9\n[[devices.tank.blocks]]\n"
+            f"name = 'level'\ntable = '{where}'\naddress = {at}\n"
+            f"points = [{{ name = 'p', offset = 0, type = '{type_}' }}]\n"
+        )
+        return [str(problem) for problem in warnings(load_text(text))]
+
+    assert told(table, address, kind) == [
+        (
+            f"devices.tank.blocks: level: address {address} is asked for as it is; "
+            f"a manual that counts {table.replace('_', ' ')} from {address - index} "
+            f"means address {index}"
+        )
+    ]
+    assert told(table, index, kind) == []
+    assert told("coils", address, "bit") == []

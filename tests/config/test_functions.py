@@ -275,7 +275,7 @@ MISTAKES: dict[str, tuple[str, str]] = {
     ),
     "a type that is none": (
         FUNCTION + layout('{ name = "v", type = "u32" }'),
-        f'{LAYOUT}[0].type: "u32" is not "uint16", "int16"',
+        f'{LAYOUT}[0].type: "u32" is not a type, did you mean "uint32"?',
     ),
     "no type": (FUNCTION + layout('{ name = "v" }'), f"{LAYOUT}[0].type: missing"),
     "no name of a field": (

@@ -71,13 +71,99 @@ def loaded(tmp_path: Path) -> Callable[[str], RegisterMap]:
 
 POINT = f"{KEY}.points[0]"
 MISTAKES: dict[str, tuple[str, str]] = {
+    "a type as Modbus tools call it": (
+        BLOCK + point("", type_="u16"),
+        f'{POINT}.type: "u16" is not a type, did you mean "uint16"?',
+    ),
+    "a type as PLCs call it": (
+        BLOCK + point("", type_="REAL"),
+        f'{POINT}.type: "REAL" is not a type, did you mean "float32"?',
+    ),
+    "a type that is nothing like one": (
+        BLOCK + point("", type_="xyz"),
+        f'{POINT}.type: "xyz" is not a type: "uint16", "int16", "uint32", "int32", "uint64",',
+    ),
+    "a table as manuals call it": (
+        BLOCK.replace("holding_registers", "input") + points(LEVEL),
+        (
+            f'{KEY}.table: "input" is not "coils", "discrete_inputs", "input_registers" or '
+            '"holding_registers", did you mean "input_registers"?'
+        ),
+    ),
+    "a block without its table": (
+        BLOCK.replace('table = "holding_registers"\n', "") + points(LEVEL),
+        f'{KEY}.table: missing, needed is "coils", "discrete_inputs", ',
+    ),
+    "a label as manuals count": (
+        BLOCK.replace("100", "400101") + points(LEVEL),
+        (
+            f"{KEY}.address: 400101 is not a PDU address: a number from 0 to 65535, counted from "
+            "0; the register that manuals call 40001 or 400001 is 0 in holding_registers"
+        ),
+    ),
+    "an address for an offset": (
+        BLOCK + points(LEVEL, '{ name = "p", offset = 140, type = "uint16" }'),
+        (
+            f"{KEY}.points[1].offset: 140 is register 240, since offsets count from the address "
+            "of the block, 100; a block has 125 registers, or 8000 with atomic = false"
+        ),
+    ),
+    "the address of a point": (
+        BLOCK + points('{ name = "p", offset = 0, address = 9, type = "uint16" }'),
+        f'{POINT}.address: unknown key, did you mean "offset"?',
+    ),
+    "a factor": (
+        BLOCK + point("factor = 0.1"),
+        f'{POINT}.factor: unknown key, did you mean "scale"?',
+    ),
+    "a text of no length": (
+        BLOCK + point("", type_="text"),
+        f"{POINT}.words: missing, needed is the number of registers of text",
+    ),
+    "a point larger than its block": (
+        BLOCK + "count = 1\n" + point("", type_="float32"),
+        f"{POINT}.offset: offset 0 with 2 words is outside the block, which has 1",
+    ),
+    "an order of one register for two": (
+        BLOCK + point('word_order = "BA"', type_="float32"),
+        f"{POINT}.word_order: BA is an order of one register, float32 has 2: ABCD, CDAB, BADC or",
+    ),
+    "names of bits the wrong way round": (
+        BLOCK + point("bits = { running = 0 }"),
+        f"{POINT}.bits.running: 0 is not a text in quotes, needed is a table of bit and name, like",
+    ),
+    "one pair of brackets": (
+        BLOCK.replace("[[", "[").replace("]]", "]") + points(LEVEL),
+        "devices.tank.blocks: a table is not an array of tables, needed are blocks, written as [[",
+    ),
+    "nothing but facts": (
+        BLOCK + 'read = "once"\n' + points(LEVEL),
+        'devices.tank.blocks: all have read = "once", so that nothing would be recorded',
+    ),
+    "a point over two lines": (
+        BLOCK + "points = [{ name = 'p',\n offset = 0, type = 'uint16' }]\n",
+        (
+            "line 13, column 24: not TOML: Invalid initial character for a key part; a table in "
+            "{ } stays on one line and has no comma at its end"
+        ),
+    ),
+    "a flag that a coil cannot be": (
+        BLOCK
+        + "trigger = { clear_on_read = { table = 'coils', address = 2, mask = 4 } }\n"
+        + points(LEVEL),
+        f"{KEY}.trigger: clear on read: a bit AND 4 is never 4, needed is mask 1",
+    ),
+    "a name that no terminal should obey": (
+        BLOCK + point('valid_when = { point = "\\u202e\\u001b[2J", values = [1] }'),
+        f"{POINT}.valid_when: no point \\u202e\\u001b[2J in this block",
+    ),
     "an identity without its block": (
         'identity = ["number"]\n' + BLOCK + points(LEVEL),
         'devices.tank.identity[0]: "number" is not a block.point',
     ),
     "an identity that is a sample": (
         'identity = ["level.level"]\n' + BLOCK + points(LEVEL),
-        "devices.tank.identity: identity: no point level.level in a block that is read once",
+        "devices.tank.identity: no point level.level in a block that is read once",
     ),
     "no blocks": ("", "devices.tank.blocks: missing, needed is blocks"),
     "blocks in words": ('blocks = "none"', 'devices.tank.blocks: "none" is not an array of tables'),
@@ -246,7 +332,7 @@ MISTAKES: dict[str, tuple[str, str]] = {
     ),
     "a flag in several requests": (
         BLOCK + "atomic = false\n" + points(LEVEL) + "trigger = { flag = 1 }\n",
-        f"{KEY}.atomic: atomic: a block with a flag must be read in one request",
+        f"{KEY}.atomic: a block with a flag must be read in one request",
     ),
     "a trigger of what is read once": (
         BLOCK + 'read = "once"\n' + points(LEVEL) + "trigger = { change = [] }\n",
@@ -262,15 +348,15 @@ MISTAKES: dict[str, tuple[str, str]] = {
     ),
     "a calendar without a day": (
         BLOCK + points(LEVEL) + 'time = { source = "calendar", year = 1, month = 2, hour = 3 }\n',
-        f"{KEY}.time: time: there is no day",
+        f"{KEY}.time: there is no day",
     ),
     "a time outside": (
         BLOCK + "count = 2\n" + points(LEVEL) + 'time = { source = "unix", offset = 1 }\n',
-        f"{KEY}.time: time: offset 2 is outside the block",
+        f"{KEY}.time: offset 2 is outside the block",
     ),
     "a stamp without a date on schedule": (
         BLOCK + points(LEVEL) + 'time = { source = "cp32", offset = 1 }\n',
-        f"{KEY}.time: time: a stamp without a date needs a trigger",
+        f"{KEY}.time: a stamp without a date needs a trigger",
     ),
     "a zone that is none": (
         'timezone = "Mars"\n' + BLOCK + points(LEVEL),

@@ -114,6 +114,7 @@ def test_device_time() -> None:
         ({3: "00"}, "'00' is not a number of whole registers"),
         ({2: "0000"}, "registers 2 to 2 are not all in block channel_2, 3 to 5"),
         ({4: "0000 0000 0000"}, "registers 4 to 6 are not all in block channel_2, 3 to 5"),
+        ({3: "0000 033E", 4: "033F"}, "register 4 is given twice"),
     ],
 )
 def test_octets_that_do_not_fit(words: Any, text: str) -> None:
@@ -146,7 +147,7 @@ def test_all_flaws_are_told() -> None:
     flaws = refusal(replace(meter(RATE, count=1), unit=300))
     assert flaws == [
         "unit: 300 is not 0 to 255",
-        "block flow: point rate: offset 0 with 2 words is outside the block",
+        "block flow: point rate: offset 0 with 2 words is outside the block, which has 1",
     ]
     assert refusal({}) == ["is a dict, not a roclog.register_map.RegisterMap"]
     assert refusal(meter(replace(RATE, unit=""))) == [

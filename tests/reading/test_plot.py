@@ -98,7 +98,7 @@ def channel(device: str, block: str, units: dict[str, str]) -> Channel:
     )
 
 
-def read(device: str, block: str, **values: float) -> Sample:
+def read(device: str, block: str, **values: object) -> Sample:
     topic = f"/{device}/{block}"
     return Sample(
         topic=topic, device=device, block=block, log_time=T0, publish_time=T0, seq=1, values=values
@@ -112,12 +112,24 @@ def gathered(units: dict[str, str], **values: float) -> list[tuple[str, str]]:
 
 def test_what_has_a_unit_comes_before_what_has_none() -> None:
     assert gathered({"flow": "L/min"}, flow=1.0, state=2) == [("flow", "L/min")]
+    # A code like 19.2 has no unit; in a map of a user it stands beside what has one.
+    assert gathered({"oil": "Cel"}, oil=40.1, iso_4=19.2, state=2) == [("iso", ""), ("oil", "Cel")]
     assert gathered({}, flow=1.0, state=2) == [("flow", ""), ("state", "")]
     # Seconds and microseconds of a clock are no measurement.
     assert gathered({"seconds": "s", "rest": "us"}, seconds=1, rest=2, state=3) == [("state", "")]
     both = {"/a/b": channel("a", "b", {}), "/a/c": channel("a", "c", {"flow": "L/min"})}
     panels, _ = _gather([read("a", "b", state=1), read("a", "c", flow=1.0)], both)
     assert [panel.key for panel in panels] == [("flow", "L/min")]
+
+
+def test_what_the_first_sample_has_not_is_drawn_from_the_others() -> None:
+    first, then = read("a", "b", temperature=1.0), read("a", "b", temperature=2.0, flow=3.0)
+    first.values["flow"] = None
+    first.values["key"] = then.values["key"] = None
+    channels = {"/a/b": channel("a", "b", {"temperature": "Cel", "flow": "L/min", "key": "1"})}
+    panels, _ = _gather([first, then], channels)
+    assert [panel.key[0] for panel in panels] == ["flow", "temperature"]
+    assert str(list(panels[0].lines["flow"])) == "[nan, 3.0]"
 
 
 def test_a_column_for_each_device_those_alike_side_by_side() -> None:

@@ -69,11 +69,13 @@ def check(config: Path, *, probe: bool, as_json: bool) -> None:
     else:
         for result in results or ():
             text = result.text if result.text.isprintable() else ascii(result.text)
-            click.echo(f"{'answers' if result.ok else 'silent':12}{result.device}: {text}")
+            word = "answers" if result.ok else "refuses" if result.refused else "silent"
+            click.echo(f"{word:12}{result.device}: {text}")
     if place.problem:
         raise StorageError(settings.recording.directory, place.problem)
     if results is not None and not any(result.ok for result in results):
-        raise DeviceError("no device answered")
+        refused = any(result.refused for result in results)
+        raise DeviceError("no device gave its data" if refused else "no device answered")
 
 
 def _probe(settings: Settings) -> list[ProbeResult]:
@@ -263,7 +265,9 @@ def _as_object(
         ],
         "probe": None
         if results is None
-        else [{"device": r.device, "ok": r.ok, "text": r.text} for r in results],
+        else [
+            {"device": r.device, "ok": r.ok, "refused": r.refused, "text": r.text} for r in results
+        ],
     }
 
 

@@ -76,7 +76,7 @@ def decode(
 def _register(text: str, *, decimal: bool) -> int:
     match = _WORD.fullmatch(text)
     if match is None:
-        hint = "write 0x and up to four hexadecimal digits, or a decimal number"
+        hint = "write four hexadecimal digits, 0x and up to four, or a decimal number"
         raise click.BadParameter(f"{text!r} is not a word: {hint}", param_hint="WORDS")
     is_decimal = match[3] is not None or (decimal and match[2] is not None and text.isdecimal())
     number = int(text) if is_decimal else int(match[1] or match[2], 16)

@@ -31,7 +31,7 @@ def plot(
 ) -> None:
     """Draw what recordings hold over time, a panel for each quantity, gaps shaded.
 
-    Drawn is what has a unit; where nothing has one, every number.
+    Drawn is what has a unit or decimals; where nothing has a unit, every number.
 
     \b
     Example:

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from roclog.plugins import Plugin
     from roclog.register_map import Block, Point, RegisterMap, TimeSource
 
-_NUMERIC: Final = frozenset({"address", "words", "unit id"})
+_NUMERIC: Final = frozenset({"address", "octet", "words", "octets", "unit id"})
 _LONG: Final = frozenset({"title", "source", "package"})
-_POINT_HEADINGS: Final = ("address", "words", "name", "type", "scale", "unit", "range", "title")
+_POINT_HEADINGS: Final = ("name", "type", "scale", "unit", "range", "title")
 
 
 _BUILT_IN: Final[Mapping[str, RegisterMap]] = {**PROFILES, **CONFIGURED}
@@ -73,6 +73,11 @@ def _one(name: str) -> Listed:
     plugins = plugins_named(name)
     if plugins and name not in _reserved():
         return Listed(load_plugin(name), plugins[0])
+    if name in _reserved():
+        text = (
+            f"{name} has no map to show: its map stands in a configuration, as in examples/*.toml"
+        )
+        raise click.BadParameter(text, param_hint="NAME")
     known = list(dict.fromkeys([*_BUILT_IN, *(plugin.name for plugin in find_plugins())]))
     close = get_close_matches(name, known, n=1)
     hint = f", did you mean {close[0]!r}?" if close else f"; there is {', '.join(known)}"
@@ -114,8 +119,11 @@ def _print_profile(listed: Listed) -> None:
         click.echo(f"\n{block.title or block.name}")
         for label, text in _block_facts(profile, block):
             click.echo(f"{label:12}{text}")
+        is_function = profile.dialect.has_functions
+        headings = ("octet" if is_function else "address", "octets" if block.packed else "words")
         points = sorted(block.points, key=lambda point: point.offset)
-        _print_table(_POINT_HEADINGS, [row for point in points for row in _rows(block, point)])
+        rows = [row for point in points for row in _rows(block, point, is_function=is_function)]
+        _print_table((*headings, *_POINT_HEADINGS), rows)
 
 
 def _facts(profile: RegisterMap, plugin: Plugin | None) -> Iterator[tuple[str, str]]:
@@ -139,14 +147,15 @@ def _block_facts(profile: RegisterMap, block: Block) -> Iterator[tuple[str, str]
     if block.period is not None:
         when = f"every {format_duration(block.period)}"
     if profile.dialect.has_functions:
-        yield "block", f"{block.name}: function {block.address}, {block.count} words, called {when}"
+        size = f"{block.octets} octets"
+        yield "block", f"{block.name}: function {block.address}, {size}, called {when}"
     else:
         last = block.address + block.count - 1
         words = f"{block.count} {block.table.replace('_', ' ')}"
         yield "block", f"{block.name}: {words} {block.address}-{last}, read {when}"
     yield from _trigger_facts(block)
     if block.time is not None:
-        yield "time", _time_text(block, block.time)
+        yield "time", _time_text(block, block.time, is_function=profile.dialect.has_functions)
 
 
 def _trigger_facts(block: Block) -> Iterator[tuple[str, str]]:
@@ -165,14 +174,22 @@ def _trigger_facts(block: Block) -> Iterator[tuple[str, str]]:
             yield "trigger", f"a change of {what} is another sample"
 
 
-def _time_text(block: Block, time: TimeSource) -> str:
+def _place(block: Block, offset: int, *, is_function: bool) -> int:
+    """The register, or where a register is a function, the octet of its answer."""
+    if is_function:
+        return offset if block.packed else 2 * offset
+    return block.address + offset
+
+
+def _time_text(block: Block, time: TimeSource, *, is_function: bool) -> str:
     if isinstance(time, SplitCalendar):
         names = ", ".join(name.replace("_", "/") for name, _ in time.words)
         places = ", ".join(str(block.address + offset) for _, offset in time.words)
         return f"{names} in registers {places}"
     offsets = [getattr(time, name, None) for name in ("offset", "seconds", "microseconds")]
-    first = ", ".join(str(block.address + offset) for offset in offsets if offset is not None)
-    return f"{type(time).__name__} in registers from {first} on"
+    first = [_place(block, n, is_function=is_function) for n in offsets if n is not None]
+    what = "octets" if is_function else "registers"
+    return f"{type(time).__name__} in {what} from {', '.join(map(str, first))} on"
 
 
 def _spans(block: Block, ranges: Sequence[tuple[int, int]]) -> str:
@@ -183,22 +200,44 @@ def _span(address: int, words: int) -> str:
     return str(address) if words == 1 else f"{address}-{address + words - 1}"
 
 
-def _rows(block: Block, point: Point) -> Iterator[tuple[str, ...]]:
-    """The point, then each of its named bits."""
-    meanings = ", ".join(f"{value} = {text}" for value, text in point.meanings)
+def _rows(block: Block, point: Point, *, is_function: bool) -> Iterator[tuple[str, ...]]:
+    """The point, then each of its named bits and parts."""
+    order = "" if point.word_order is None else f" {point.word_order}"
     yield (
-        str(block.address + point.offset),
+        str(_place(block, point.offset, is_function=is_function)),
         str(block.size_of(point)),
         point.name,
-        point.type.value,
-        "" if point.scale is None else str(point.scale),
+        f"{point.type}{order}",
+        _scale_text(point),
         point.unit,
         "" if point.low is None else f"{point.low} to {point.high}",
-        f"{point.title}: {meanings}" if meanings else point.title,
+        _title_text(point),
     )
-    blank = ("",) * (len(_POINT_HEADINGS) - 4)
+    blank = ("",) * (len(_POINT_HEADINGS) - 2)
     for bit, name in point.bits:
         yield ("", "", name, f"bit {bit}", *blank)
+    for first, size, name in point.parts:
+        yield ("", "", name, f"bits {first}-{first + size - 1}", *blank)
+
+
+def _scale_text(point: Point) -> str:
+    """What the number in the device is multiplied with, and what is added then."""
+    scale = "" if point.scale is None else str(point.scale)
+    if point.add is None:
+        return scale
+    return f"{scale or 1} {'-' if point.add < 0 else '+'} {abs(point.add)}"
+
+
+def _title_text(point: Point) -> str:
+    meanings = ", ".join(f"{value} = {text}" for value, text in point.meanings)
+    none = ", ".join(f"{number} = {text}" for number, text in point.sentinels)
+    gate = point.valid_when
+    texts = [
+        f"{point.title}: {meanings}" if meanings else point.title,
+        f"no measurement: {none}" if none else "",
+        f"only where {gate.point} is {' or '.join(map(str, gate.values))}" if gate else "",
+    ]
+    return "; ".join(filter(None, texts))
 
 
 def _is_documented(profile: RegisterMap) -> bool:
@@ -307,7 +346,13 @@ def _point_object(block: Block, point: Point) -> dict[str, object]:
         "unit": point.unit,
         "low": None if point.low is None else float(point.low),
         "high": None if point.high is None else float(point.high),
+        "word_order": None if point.word_order is None else point.word_order.value,
+        "sentinels": {str(number): text for number, text in point.sentinels},
+        "valid_when": None
+        if point.valid_when is None
+        else {"point": point.valid_when.point, "values": list(point.valid_when.values)},
         "meanings": {str(value): text for value, text in point.meanings},
         "bits": {str(bit): name for bit, name in point.bits},
+        "parts": {f"{first}-{first + n - 1}": name for first, n, name in point.parts},
         "title": point.title,
     }

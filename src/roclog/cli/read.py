@@ -13,6 +13,7 @@ from rich.table import Table
 
 from roclog.errors import DeviceError
 from roclog.quantities import format_instant
+from roclog.register_map import WordType
 from roclog.time_flags import flag_words
 
 if TYPE_CHECKING:
@@ -72,16 +73,18 @@ def _print_block(read: BlockRead, *, is_function: bool) -> None:
     for index, point in enumerate(block.points):
         remark = _remark(point, values)
         if read.decoded.doubtful >> index & 1:
-            remark = f"outside the documented range {point.low} to {point.high}. {remark}"
+            remark = f"{_doubt(point)}. {remark}"
         address = point.offset * (1 if block.packed else 2)
         if not is_function:
             address = block.address + point.offset
-        value = _text(values[point.name])
+        value = _text(_meant(point, values[point.name]))
         raw = _raw(read, point)
         table.add_row(str(address), raw, point.name, value, point.unit, remark.strip())
     console.print(table, markup=False)
     if read.decoded.device_time:
         console.print(f"device time {format_instant(read.decoded.device_time)}")
+    elif block.time is not None:
+        console.print(f"device time unknown, {flag_words(read.decoded.time_flags)}")
     console.print()
 
 
@@ -114,8 +117,15 @@ def _remark(point: Point, values: dict[str, Value | None]) -> str:
     if values[point.name] is None:
         return "no measurement"
     set_bits = [name for _, name in point.bits if values[name]]
+    parts = [f"{name} {values[name]!r}" for _, _, name in point.parts]
     meanings = [text for value, text in point.meanings if value == values[point.name]]
-    return ", ".join(set_bits + meanings)
+    return ", ".join(set_bits + parts + meanings)
+
+
+def _doubt(point: Point) -> str:
+    if point.low is None:
+        return f"not plausible as {point.type}"
+    return f"outside the documented range {point.low} to {point.high}"
 
 
 def _by_name(read: BlockRead) -> dict[str, Value | None]:
@@ -124,6 +134,14 @@ def _by_name(read: BlockRead) -> dict[str, Value | None]:
     if read.decoded is None:
         return {}
     return named_values(read.block, read.decoded)
+
+
+def _meant(point: Point, value: Value | None) -> Value | None:
+    """A binary32 with the digits that it has, as the instrument shows it."""
+    from roclog.word_types import shortest_float32  # noqa: PLC0415
+
+    is_binary32 = point.type is WordType.F32 and not point.is_scaled
+    return shortest_float32(value) if is_binary32 and isinstance(value, float) else value
 
 
 def _text(value: Value | None) -> str:

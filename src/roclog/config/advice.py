@@ -16,6 +16,7 @@ from roclog.config.profiles import TABLES
 from roclog.errors import Problem
 from roclog.plugins import plugins_named
 from roclog.quantities import format_duration
+from roclog.register_map import Table
 from roclog.request_plan import plan_requests, requests_by_period
 
 if TYPE_CHECKING:
@@ -29,6 +30,12 @@ TURNAROUND: Final = 10_000_000
 """Nanoseconds that a device typically takes between request and answer."""
 _FRAME: Final = 3
 """Characters around a PDU on a serial line: unit and checksum."""
+_LABELS: Final = {
+    Table.DISCRETE_INPUTS: range(10_001, 20_000),
+    Table.INPUT_REGISTERS: range(30_001, 40_000),
+    Table.HOLDING_REGISTERS: range(40_001, 50_000),
+}
+"""What manuals that count from 1 call the addresses of a table; addresses in their own right."""
 _BY_ID: Final = Path("/dev/serial/by-id")
 _NUMBERED: Final = re.compile(r"/dev/tty(USB|ACM)\d+")
 """Names that the system gives out in the order of plugging in."""
@@ -115,6 +122,8 @@ def warnings(settings: Settings) -> list[Problem]:
             Problem(f"devices.{device.name}.functions", text)
             for text in _repeat_warnings(device, timeout)
         ]
+        key = f"devices.{device.name}.blocks"
+        found += [Problem(key, text) for text in _label_warnings(device)]
         key = f"devices.{device.name}.profile"
         found += [Problem(key, text) for text in _profile_warnings(device)]
     return found
@@ -190,6 +199,17 @@ def _profile_warnings(device: Device) -> Iterator[str]:
     if device.profile.name in TABLES:
         for plugin in plugins_named(device.profile.name):
             yield f"{plugin}: has this name too; the built-in profile is used"
+
+
+def _label_warnings(device: Device) -> Iterator[str]:
+    for block in device.profile.blocks if device.profile.name == "registers" else ():
+        labels = _LABELS.get(block.table, range(0))
+        if block.address in labels:
+            index, table = labels.index(block.address), block.table
+            yield (
+                f"{block.name}: address {block.address} is asked for as it is; a manual that "
+                f"counts {table.replace('_', ' ')} from {labels.start} means address {index}"
+            )
 
 
 def _poll_warnings(device: Device) -> Iterator[str]:

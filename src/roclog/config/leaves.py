@@ -137,8 +137,13 @@ def shown(value: object) -> str:
     if isinstance(value, list):
         return "an array"
     text = json.encode(value).decode() if isinstance(value, str) else str(value)
-    text = "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in text)
+    text = printable(text)
     return text if len(text) <= 2 * _LONGEST_TEXT else f"{text[: 2 * _LONGEST_TEXT]}..."
+
+
+def printable(text: str) -> str:
+    """In one line that a terminal shows and does not obey."""
+    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in text)
 
 
 _PARSED: Final[dict[type, tuple[Callable[[object], object], str]]] = {

@@ -6,13 +6,25 @@ import re
 import stat
 import tomllib
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_args, get_origin
+from enum import Enum
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Final,
+    Literal,
+    TypeGuard,
+    TypeVar,
+    get_args,
+    get_origin,
+)
 
 import msgspec
 from msgspec import UNSET, Struct, UnsetType
 from msgspec.structs import fields
 
-from roclog.config.leaves import NAME, parse_leaf, shown
+from roclog.config.leaves import NAME, parse_leaf, printable, shown
+from roclog.config.synonyms import OTHERS_SAY
 from roclog.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -22,6 +34,7 @@ if TYPE_CHECKING:
 Table = TypeVar("Table", bound=Struct)
 _LARGEST_FILE: Final = 1 << 20
 _PLACE: Final = re.compile(r"(.*) \(at line (\d+), column (\d+)\)", re.DOTALL)
+_KEY_EXPECTED: Final = "Invalid initial character for a key part"
 
 
 class Problems:
@@ -31,7 +44,8 @@ class Problems:
         self.found: list[Problem] = []
 
     def add(self, key: str, text: str) -> None:
-        self.found.append(Problem(key, text))
+        """text: may quote the file, whatever that holds."""
+        self.found.append(Problem(key, printable(text)))
 
     def at(self, key: str) -> bool:
         """Whether something is wrong with this key; what depends on it is not judged then."""
@@ -72,9 +86,13 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def _syntax_problem(message: str, text: str) -> Problem:
     match = _PLACE.fullmatch(message)
-    if match is not None:
-        return Problem(f"line {match[2]}, column {match[3]}", f"not TOML: {match[1]}")
     lines = text.split("\n")
+    if match is not None:
+        rest = lines[int(match[2]) - 1][int(match[3]) - 1 :].strip()
+        hint = ""
+        if match[1] == _KEY_EXPECTED and (not rest or rest[0] in "#}"):
+            hint = "; a table in { } stays on one line and has no comma at its end"
+        return Problem(f"line {match[2]}, column {match[3]}", f"not TOML: {match[1]}{hint}")
     reason = message.removesuffix(" (at end of document)")
     place = f"line {len(lines)}, column {len(lines[-1]) + 1}"
     return Problem(place, f"not TOML: {reason} (the file ends here)")
@@ -87,9 +105,10 @@ def joined(key: str, name: str) -> str:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """``, did you mean "..."?`` where a known word is close, else nothing."""
+    """``, did you mean "..."?`` where a known word is close or means the same, else nothing."""
     folded = {name.lower(): name for name in known}
-    close = get_close_matches(word.lower(), list(folded), n=1)
+    same = OTHERS_SAY.get(word.lower())
+    close = [same] if same in folded else get_close_matches(word.lower(), list(folded), n=1)
     return f', did you mean "{folded[close[0]]}"?' if close else ""
 
 
@@ -108,7 +127,7 @@ def named_tables(file: dict[str, Any], key: str, problems: Problems) -> Iterator
             yield name, table
 
 
-def alternatives(words: Iterable[str]) -> str:
+def alternatives(words: Iterable[object]) -> str:
     *others, last = (shown(word) for word in words)
     return " or ".join(filter(None, (", ".join(others), last)))
 
@@ -127,7 +146,7 @@ def read_table(kind: type[Table], value: object, key: str, problems: Problems) -
             if name in value:
                 found[name] = _read_value(field.type, value[name], joined(key, name), problems)
             elif field.required:
-                problems.add(joined(key, name), f"missing, needed is {_title(_plain(field.type))}")
+                problems.add(joined(key, name), f"missing, needed is {_needed(_plain(field.type))}")
     else:
         problems.add(key, f"{shown(value)} is not a table")
     return kind(**{field.name: found.get(field.name, UNSET) for field in allowed.values()})
@@ -139,7 +158,9 @@ def _read_value(kind: Any, value: object, key: str, problems: Problems) -> objec
         return read_table(plain, value, key, problems)
     member = _struct_of_list(plain)
     if member is not None:
-        return _read_tables(member, value, key, problems)
+        return _read_tables(member, value, _title(plain), key, problems)
+    if _names_texts(plain) and isinstance(value, dict):
+        return _read_texts(value, plain, key, problems)
     try:
         return msgspec.convert(value, plain, dec_hook=parse_leaf)
     except msgspec.ValidationError as error:
@@ -147,11 +168,27 @@ def _read_value(kind: Any, value: object, key: str, problems: Problems) -> objec
         return UNSET
 
 
-def _read_tables(kind: type[Struct], value: object, key: str, problems: Problems) -> object:
+def _read_tables(
+    kind: type[Struct], value: object, title: str | None, key: str, problems: Problems
+) -> object:
     if not isinstance(value, list):
-        problems.add(key, f"{shown(value)} is not an array of tables")
+        hint = f", needed are {title}" if title else ""
+        problems.add(key, f"{shown(value)} is not an array of tables{hint}")
         return UNSET
     return [read_table(kind, item, f"{key}[{index}]", problems) for index, item in enumerate(value)]
+
+
+def _names_texts(kind: Any) -> bool:
+    return get_origin(kind) is Annotated and get_args(kind)[0] == dict[str, str]
+
+
+def _read_texts(value: dict[str, Any], kind: Any, key: str, problems: Problems) -> object:
+    """A table whose values are texts: each other value is told by its own key."""
+    wrong = [name for name, text in value.items() if not isinstance(text, str)]
+    for name in wrong:
+        text = f"{shown(value[name])} is not a text in quotes, needed is {_title(kind)}"
+        problems.add(joined(key, name), text)
+    return UNSET if wrong else value
 
 
 def _struct_of_list(kind: Any) -> type[Struct] | None:
@@ -169,15 +206,30 @@ def _title(kind: Any) -> str | None:
     return next((meta.title for meta in kind.__metadata__ if meta.title), None)
 
 
+def _words(kind: Any) -> list[object]:
+    """All that a value can be, where it is one of some words; else nothing."""
+    inner = kind.__origin__
+    if get_origin(inner) is Literal:
+        return list(get_args(inner))
+    return [str(word.value) for word in inner] if _is_enum(inner) else []
+
+
+def _is_enum(kind: object) -> TypeGuard[type[Enum]]:
+    return isinstance(kind, type) and issubclass(kind, Enum)
+
+
+def _needed(kind: Any) -> str | None:
+    """What the value should be: the title, and the words where it does not have them itself."""
+    title, words = _title(kind), _words(kind)
+    if not words or (title is not None and all(str(word) in title for word in words)):
+        return title
+    return ": ".join(filter(None, (title, alternatives(words))))
+
+
 def _refusal(kind: Any, value: object, error: msgspec.ValidationError) -> str:
     if isinstance(error.__cause__, (TypeError, ValueError)):  # raised by parse_leaf
         return str(error.__cause__)
-    title = _title(kind)
-    if title is not None:
-        return f"{shown(value)} is not {title}"
-    inner = kind.__origin__
-    words = get_args(inner) if get_origin(inner) is Literal else tuple(inner)
-    text = [str(word) for word in words if isinstance(word, str)]
-    hint = suggestion(value, text) if isinstance(value, str) else ""
-    *others, last = (shown(word) for word in words)
-    return f"{shown(value)} is not {' or '.join(filter(None, (', '.join(others), last)))}{hint}"
+    known = [word for word in _words(kind) if isinstance(word, str)]
+    hint = suggestion(value, known) if isinstance(value, str) else ""
+    wanted = (_title(kind) if hint else None) or _needed(kind)
+    return f"{shown(value)} is not {wanted}{hint}"

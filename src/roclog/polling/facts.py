@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from roclog.decode import Value, decode, named_values
@@ -51,9 +52,15 @@ def device_metadata(device: Device, facts: dict[str, dict[str, Value | None]]) -
         "unit": str(device.unit),
         "connection": device.connection,
         "word_order": device.word_order.value,
-        "register_map": json.dumps([_described(block) for block in device.profile.samples]),
+        "register_map": _as_text(device.profile.samples),
         **{name: _as_json(values) for name, values in facts.items()},
     }
+
+
+@lru_cache(maxsize=256)
+def _as_text(blocks: tuple[Block, ...]) -> str:
+    """The map; a thousand devices share a few."""
+    return json.dumps([_described(block) for block in blocks])
 
 
 def _as_json(values: dict[str, Value | None]) -> str:

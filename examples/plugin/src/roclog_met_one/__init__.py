@@ -118,4 +118,5 @@ REGISTER_MAP: Final = RegisterMap(
     answer_limit=1_000_000_000,
     samples=(SAMPLE,),
     facts=(IDENTITY,),
+    identity=(("identity", "model"), ("identity", "serial_number")),
 )

@@ -53,8 +53,9 @@ _Type = Annotated[
         "time_stamp",
     ],
     Meta(
+        title="a type",
         description="time_stamp: two unsigned numbers of 32 bits, the microseconds, then the "
-        "seconds since 1970; it becomes the device time of the sample"
+        "seconds since 1970; it becomes the device time of the sample",
     ),
 ]
 _KEYS: Final = {"address": "register", "name": "name", "trigger": "trigger", "period": "period"}
@@ -277,6 +278,8 @@ def _tell_flaws(
     """documented: how many blocks the map has without the declared ones."""
     for flaw in find_flaws(made):
         path = key
+        if flaw.key == "message":  # the device's name, which has been told
+            continue
         if flaw.block is not None:
             function, layout = places[flaw.block - documented]
             if flaw.key in _DEPENDENT and not layout.is_whole:
@@ -285,7 +288,7 @@ def _tell_flaws(
             if flaw.point is not None:
                 path = f"{layout.paths[flaw.point]}.{_FIELD_KEYS.get(flaw.key, flaw.key)}"
         if not any(_is_told(problem.key, path, key) for problem in problems.found):
-            problems.add(path, flaw.text)
+            problems.add(path, flaw.text.removeprefix(f"{flaw.key}: "))
 
 
 def _is_told(told: str, path: str, key: str) -> bool:

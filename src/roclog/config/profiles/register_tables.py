@@ -26,7 +26,13 @@ Name = Annotated[
 ]
 Title = Annotated[str, Meta(max_length=200, title="a text", description="For people")]
 _Address = Annotated[
-    int, Meta(ge=0, le=65535, title="a PDU address, counted from 0, from 0 to 65535")
+    int,
+    Meta(
+        ge=0,
+        le=65535,
+        title="a PDU address: a number from 0 to 65535, counted from 0; the register that "
+        "manuals call 40001 or 400001 is 0 in holding_registers",
+    ),
 ]
 _Offset = Annotated[
     int,

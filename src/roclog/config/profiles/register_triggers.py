@@ -89,7 +89,7 @@ def _is_one(said: CounterOrChangeTable, key: str, problems: Problems) -> bool:
     can = [kind for kind in _KINDS if kind in said.__struct_fields__]
     kinds = [kind for kind in can if kind in found]
     if len(kinds) != 1:
-        if not any(problem.key.startswith(f"{key}.") for problem in problems.found):
+        if not any(f"{problem.key}.".startswith(f"{key}.") for problem in problems.found):
             what = " and ".join(kinds) if kinds else "nothing"
             problems.add(key, f"is {what}, needed is one of {', '.join(can)}")
         return False

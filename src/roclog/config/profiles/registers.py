@@ -14,6 +14,9 @@ from roclog.config.profiles.register_tables import PointTable, given
 from roclog.config.profiles.register_triggers import time_source, trigger
 from roclog.config.reading import joined
 from roclog.register_map import (
+    MAX_BLOCK,
+    MAX_READ_BITS,
+    MAX_READ_REGISTERS,
     Block,
     Point,
     RegisterMap,
@@ -60,6 +63,7 @@ def register_map(table: Registers, key: str, problems: Problems) -> RegisterMap 
     facts: list[Block] = []
     samples: list[Block] = []
     paths: dict[int, tuple[str, list[str]]] = {}
+    uncounted: set[str] = set()
     whole = True
     for index, described in enumerate(table.blocks):
         path = f"{key}.blocks[{index}]"
@@ -71,7 +75,11 @@ def register_map(table: Registers, key: str, problems: Problems) -> RegisterMap 
         whole = whole and complete
         (facts if described.read == "once" else samples).append(block)
         paths[id(block)] = (path, points)
+        if isinstance(described.count, UnsetType):
+            uncounted.add(path)
     places = [paths[id(block)] for block in (*facts, *samples)]
+    if facts and not samples and whole:
+        problems.add(f"{key}.blocks", 'all have read = "once", so that nothing would be recorded')
     made = RegisterMap(
         name="registers",
         title="Described in the configuration",
@@ -85,7 +93,7 @@ def register_map(table: Registers, key: str, problems: Problems) -> RegisterMap 
         facts=tuple(facts),
         identity=tuple(_identity(table, key, problems)),
     )
-    _tell_flaws(made, key, places, problems, whole=whole)
+    _tell_flaws(made, key, places, uncounted, problems, whole=whole)
     return None if len(problems.found) > before else made
 
 
@@ -93,18 +101,43 @@ def _tell_flaws(
     made: RegisterMap,
     key: str,
     places: list[tuple[str, list[str]]],
+    uncounted: set[str],
     problems: Problems,
     *,
     whole: bool,
 ) -> None:
+    """uncounted: blocks whose count follows from their points."""
     for flaw in find_flaws(made):
         path = f"{key}.{'identity' if flaw.key == 'identity' else 'blocks'}"
+        text = flaw.text.removeprefix(f"{flaw.key}: ")
         if flaw.block is not None:
             block, points = places[flaw.block]
             path = f"{block if flaw.point is None else points[flaw.point]}.{flaw.key}"
+            far = _farthest(made.blocks[flaw.block])
+            if flaw.key == "count" and block in uncounted and far is not None:
+                path, text = f"{points[far[0]]}.offset", far[1]
         told = any(f"{problem.key}.".startswith(f"{path}.") for problem in problems.found)
+        if flaw.key == "message":  # the device's name, which has been told
+            continue
         if not told and (whole or flaw.key not in _DEPENDENT):
-            problems.add(path, flaw.text)
+            problems.add(path, text)
+
+
+def _farthest(block: Block) -> tuple[int, str] | None:
+    """Index of the point that makes a block too large, and what is wrong with it."""
+    index = max(range(len(block.points)), key=lambda n: block.points[n].offset, default=0)
+    what, most = (
+        ("bit", MAX_READ_BITS) if block.table.has_bits else ("register", MAX_READ_REGISTERS)
+    )
+    most = most if block.atomic else MAX_BLOCK
+    if not block.points or block.points[index].offset < most:
+        return None
+    offset = block.points[index].offset
+    more = f", or {MAX_BLOCK} with atomic = false" if block.atomic else ""
+    return index, (
+        f"{offset} is {what} {block.address + offset}, since offsets count from the address of the "
+        f"block, {block.address}; a block has {most} {what}s{more}"
+    )
 
 
 def _identity(table: Registers, key: str, problems: Problems) -> Iterator[tuple[str, str]]:
@@ -184,8 +217,15 @@ def _point(table: PointTable, key: str, problems: Problems) -> Point | None:
     if isinstance(name, UnsetType) or isinstance(offset, UnsetType) or isinstance(type_, UnsetType):
         return None
     more = given(table, "words") | meaning(table, type_, key, problems)
+    if type_.has_length and "words" not in more:
+        if not problems.at(f"{key}.words"):
+            problems.add(f"{key}.words", f"missing, needed is the number of registers of {type_}")
+        return None
     if not isinstance(table.word_order, UnsetType):
         more["word_order"] = order(table.word_order)
+        if table.word_order in _ORDERS and type_.words > 1:
+            text = f"{table.word_order} is an order of one register, {type_} has {type_.words}"
+            problems.add(f"{key}.word_order", f"{text}: ABCD, CDAB, BADC or DCBA")
     return Point(name=name, offset=offset, type=type_, **more)
 
 
