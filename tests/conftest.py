@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,11 @@ if TYPE_CHECKING:
 
 NO_SKIPS = os.environ.get("ROCLOG_NO_SKIPS") == "1"
 NOBODY = 65534
+
+
+def pytest_configure() -> None:
+    """Behind a shell's & SIGINT is ignored, and programs that the tests start would inherit that."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(trylast=True)

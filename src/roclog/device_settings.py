@@ -120,7 +120,7 @@ def parse_settings(register_map: RegisterMap, texts: Sequence[str], now: int) ->
         except ValueError as error:
             problems.append(str(error))
             continue
-        problems += [f"{each}: set twice" for each in new.keys() & numbers.keys()]
+        problems += [f"{each}: set twice" for each in new if each in numbers]
         numbers |= new
     for name, number in numbers.items():
         setting = writable.setting(name)

@@ -25,6 +25,7 @@ Exceptions 10 and 11 are a gateway's, and say that nobody answers behind it (sec
 from __future__ import annotations
 
 import asyncio
+import socket
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Final
@@ -114,6 +115,7 @@ class Scan:
         self.problem = ""
         self.late_answers = self.stray_octets = 0
         self._bus = bus
+        self._bus.expects_silence = True
         self._devices = tuple(devices)
         self._is_line = bus.timing.framing is Framing.RTU
         self._was_open = False
@@ -278,13 +280,23 @@ def refusal(settings: Settings, name: str) -> str:
     wanted = settings.connections[name]
     for device in settings.devices.values():
         connection = settings.connections[device.connection]
-        same = (connection.host.lower(), connection.port) == (wanted.host.lower(), wanted.port)
-        if device.profile.dialect.has_functions and same:
+        if not device.profile.dialect.has_functions or connection.port != wanted.port:
+            continue
+        same = connection.host.lower() == wanted.host.lower()
+        if same or not _addresses(connection.host).isdisjoint(_addresses(wanted.host)):
             return (
                 f"{name} is not scanned: {device.name} ({device.profile.name}) is there, whose "
                 "registers are functions, and a request may call one"
             )
     return ""
+
+
+def _addresses(host: str) -> set[str]:
+    """Of a host; none where its name is not known."""
+    try:
+        return {str(address[0]) for *_, address in socket.getaddrinfo(host, None)}
+    except (OSError, UnicodeError):
+        return set()
 
 
 def questions(connection: Connection) -> tuple[int, ...]:

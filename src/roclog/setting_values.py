@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from roclog.writable import Range, Setting
 
 _SECOND: Final = 10**9
-_WHOLE: Final = re.compile(r"-?(?:0|[1-9][0-9]{0,5})")
+_WHOLE: Final = re.compile(r"0|-?[1-9][0-9]{0,99}")
 """Without leading zeros: 00 is the name of a class, not the number 0."""
 _MINUTES_SECONDS: Final = re.compile(r"([0-9]{1,2}):([0-9]{2})")
 _MONTH_DAY: Final = re.compile(r"([0-9]{1,2})-([0-9]{1,2})")

@@ -13,6 +13,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import pytest
+from bench.msx import TYPE, Msx
 from bench.peer import Roc
 from bench.process import Child, until
 from bench.recorder import ROCLOG, Recorder, roclog
@@ -333,12 +334,52 @@ def test_power_fails_before_it_could_be_saved(make: Make, line: str) -> None:
     assert [address for _, address, _ in bench.writes()] == [105, 106]
 
 
+def test_what_is_known_is_told_when_something_fails_later(make: Make) -> None:
+    bench = make(settings="lose", power_fails_after=2)
+    done = bench.do("set", "sample_period=20s", "hold_period=10s", "--yes")
+    assert done.returncode == 4
+    assert "register 105 (sample_period): " in done.stderr
+    assert "the device has taken the value all the same" in done.stderr
+    assert "register 106 (hold_period): " in done.stderr
+    assert "not written, and not tried again" in done.stderr
+
+
+def test_a_save_without_an_answer_is_not_known(make: Make) -> None:
+    """It may have been done: that it was not must not be claimed."""
+    bench = make(lose_command=1102)
+    done = bench.do("set", "sample_period=20s", "--save", "--yes", "--json")
+    assert done.returncode == 4
+    assert "whether the values are saved is not known" in done.stderr
+    assert "written all the same, and perhaps saved: sample_period 00:20\n" in done.stderr
+    assert "not saved" not in done.stderr
+    assert "nothing was saved" not in done.stderr
+    assert json.loads(done.stdout)["saved"] is None
+    assert bench.writes() == [(6, 105, [20]), (6, 1102, [0x5A])]
+
+
+def test_ctrl_c_tells_what_has_left(make: Make) -> None:
+    bench = make(settings="deaf", settings_from=2)
+    slow = bench.config.read_text().replace(FAST, 'timeout = "20s"')
+    bench.config.write_text(slow)
+    command = [*ROCLOG, "device", "set", str(bench.config), "roc1", "--yes"]
+    wanted = ["sample_period=20s", "hold_period=10s", "alarm_logic=1"]
+    with Child([*command, *wanted], bench.config.parent / "set") as child:
+        child.while_it_runs(lambda: len(bench.writes()) == 2, "the second write")
+        assert child.stop(signal.SIGINT) == 130
+        told = child.talk()
+    assert "interrupted; sent, and not read back: sample_period 00:20, hold_period 00:10;" in told
+    assert f"`roclog device get {bench.config} roc1` shows what it holds" in told
+    assert "Traceback" not in told
+
+
 def test_a_device_that_is_gone_after_a_write(make: Make) -> None:
     """Nothing is claimed that was not read."""
     bench = make(cycle=60, power_fails_after=1)
     done = bench.do("set", "alarm_logic=1", "alarm_direction=0", "--save", "--yes", "--json")
     assert done.returncode == 4
     assert "what the device holds now is not known, it cannot be read" in done.stderr
+    assert "roc1: sent, and not read back: alarm_direction 0" in done.stderr
+    assert "nothing was saved" in done.stderr
     found = json.loads(done.stdout)
     assert (found["saved"], found["settings"], found["unit"]) == (False, None, None)
     assert len(bench.writes()) == 1
@@ -383,15 +424,35 @@ def test_a_refused_reset(make: Make) -> None:
     bench = make(refuse_command=1101)
     done = bench.do("reset", "--yes")
     assert done.returncode == 4
-    assert "roc1 refused to reset: exception 3" in done.stderr
+    assert "roc1: the device refused to reset: exception 3" in done.stderr
+    assert json.loads(bench.do("reset", "--yes", "--json").stdout)["problems"]
+
+
+def test_a_gateway_that_passes_nothing_on_has_reset_nothing(make: Make) -> None:
+    bench = make(refuse_command=1101, refuse_with=10)
+    done = bench.do("reset", "--yes")
+    assert done.returncode == 4
+    assert "refused to reset: exception 10 (gateway path unavailable)" in done.stderr
+    assert "answers again" not in done.stdout
 
 
 def test_a_device_that_does_not_come_back(make: Make) -> None:
     bench = make(reset_takes=60)
     done = bench.do("reset", "--yes", "--wait", "1s")
     assert done.returncode == 4
-    assert "roc1 did not come back within 1 s after the reset" in done.stderr
+    assert "roc1: it did not come back within 1 s after the reset" in done.stderr
     assert len(bench.writes()) == 1
+
+
+def test_a_unit_that_was_not_touched_is_not_mentioned(make: Make) -> None:
+    """Behind many TCP servers any unit will do, whatever register 100 says."""
+    bench = make()
+    done = bench.do("set", "node_id=17", "--yes")
+    assert "then set unit = 17 of [devices.roc1]" in done.stderr
+    done = bench.do("set", "hold_period=9s", "--yes")
+    assert done.returncode == 0, done.stderr
+    assert "set unit" not in done.stderr
+    assert bench.settings()["node_id"] == 17
 
 
 @LINES
@@ -426,6 +487,11 @@ def test_a_node_id_that_another_device_of_the_configuration_has(make: Make) -> N
     assert done.returncode == 2
     assert "node_id: 17 is the unit of roc2 on the same line" in done.stderr
     assert bench.lines(*REQUESTS) == []
+    shared = bench.config.read_text().replace("unit = 17\n", "unit = 138\nacknowledge = false\n")
+    bench.config.write_text(shared)
+    done = bench.do("set", "node_id=138", "--yes")
+    assert done.returncode == 0, done.stderr
+    assert "node_id is 138 already, and is not written" in done.stdout
 
 
 def test_the_clock_is_set_and_called_unused(make: Make) -> None:
@@ -443,6 +509,10 @@ def test_nothing_is_written_where_nothing_changes(make: Make) -> None:
     done = bench.do("set", "sample_period=10s", "--yes")
     assert done.returncode == 0
     assert "sample_period is 00:10 already, and is not written" in done.stdout
+    found = json.loads(bench.do("set", "sample_period=10s", "--yes", "--json").stdout)
+    assert (found["schema"], found["unit"]) == ("roclog.device.set/1", 138)
+    assert (found["already"], found["wanted"]) == (["sample_period"], [])
+    assert len(found["settings"]) == 14
     assert bench.writes() == []
 
 
@@ -474,7 +544,34 @@ def test_nobody_there(make: Make) -> None:
     bench = make("pty", unit=17)
     done = bench.do("set", "sample_period=20s", "--yes")
     assert done.returncode == 4
-    assert "no answer within 200 ms" in done.stderr
+    assert re.search(r"roclog: roc1: .*: no answer within 200 ms", done.stderr)
+
+
+def test_a_plan_that_nobody_sees_is_not_asked_about(make: Make) -> None:
+    """stdin is a terminal, and stdout a file."""
+    bench = make()
+    master, slave = pty.openpty()
+    command = [*ROCLOG, "device", "save", str(bench.config), "roc1"]
+    done = subprocess.run(command, stdin=slave, capture_output=True, text=True, check=False)
+    os.close(master)
+    os.close(slave)
+    assert done.returncode == 2
+    assert "there is no terminal: add --yes" in done.stderr
+    assert bench.lines(*REQUESTS) == []
+
+
+def test_a_function_is_called_once_to_identify(tmp_path: Path) -> None:
+    """Where a register is a function, a lost answer is no reason to call it again."""
+    config = tmp_path / "roclog.toml"
+    for lost in (0.0, 1.0):
+        (folder := tmp_path / str(lost)).mkdir()
+        with Msx(folder, "udp", drop=lost) as module:
+            config.write_text(module.toml())
+            done = roclog("device", "identify", config, "msx1")
+            truth = module.end()
+        assert done.returncode == (4 if lost else 0), done.stderr
+        assert lost or "MSX-E3317-8" in done.stdout
+        assert len([line for line in truth.lines if line.get("register") == TYPE]) == 1
 
 
 OTHERS: Final = (

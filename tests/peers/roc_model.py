@@ -216,11 +216,11 @@ class Model:
             self.on_reset()
             return Reply(None)
         self.truth.log("write", accepted=True, **facts)
-        return Reply(echo)
+        return Reply(None if self._options.lose_command in wanted else echo)
 
     def _refuse_command(self, wanted: dict[int, int]) -> None:
         if self._options.refuse_command in wanted:
-            raise PduError(ILLEGAL_VALUE)
+            raise PduError(self._options.refuse_with)
 
     def _set(self, wanted: dict[int, int], echo: bytes, facts: dict[str, object]) -> Reply:
         """A write of settings, or what has been ordered to become of it."""

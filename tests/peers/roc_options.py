@@ -54,6 +54,8 @@ class Options:
     settings_from: int = _option(1, "number of the first write that befalls", kind=int)
     power_fails_after: int = _option(0, "power fails after the N-th write to 100-113", kind=int)
     refuse_command: int = _option(0, "register, 1101 or 1102, that answers exception 3", kind=int)
+    refuse_with: int = _option(3, "another exception code for it", kind=int)
+    lose_command: int = _option(0, "register, 1101 or 1102, done unanswered", kind=int)
     reset_takes: float = _option(0.0, "seconds of silence after a reset", kind=float)
     node_id_now: bool = _option(default=False, text="100 counts as soon as written", kind=bool)
     check_disk: str | None = _option(None, "look for each cleared block in DIR/**/*.mcap")

@@ -345,6 +345,15 @@ def test_a_peer_that_closes_instead_of_answering() -> None:
     assert set(states(one).values()) <= {State.UNCLEAR}
 
 
+def test_silence_does_not_open_a_connection_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As it does elsewhere: nobody is there, and each opening would take its time."""
+    monkeypatch.setattr(FakeLink, "is_deaf", property(lambda _: True))
+    one, link, took = scan(TCP, range(1, 21), lambda _: None)
+    assert set(states(one).values()) == {State.SILENT}
+    assert len(link.opened) == 1
+    assert abs(took - 20 * TCP.timeout) < 10 * MS
+
+
 def test_what_is_asked_where(tmp_path: Path) -> None:
     devices(tmp_path)
     settings = load(tmp_path / "roclog.toml")
@@ -366,3 +375,16 @@ def test_no_msx_is_asked_by_any_name(tmp_path: Path, transport: str) -> None:
     for name in ("lab", "same"):
         assert "msx1 (msx-e3317) is there" in refusal(settings, name)
     assert refusal(settings, "plant") == ""
+
+
+def test_no_msx_is_asked_by_its_address(tmp_path: Path) -> None:
+    config = tmp_path / "roclog.toml"
+    config.write_text(
+        '[connections.lab]\ntransport = "udp"\nhost = "127.0.0.1"\nport = 512\n'
+        '[connections.same]\ntransport = "tcp"\nhost = "localhost"\nport = 512\n'
+        '[connections.other]\ntransport = "tcp"\nhost = "localhost"\nport = 502\n'
+        '[devices.msx1]\nprofile = "msx-e3317"\nconnection = "lab"\n'
+    )
+    settings = load(config)
+    assert "msx1 (msx-e3317) is there" in refusal(settings, "same")
+    assert refusal(settings, "other") == ""

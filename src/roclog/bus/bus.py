@@ -72,6 +72,7 @@ class Bus:
     permitted: the only writes that may leave, as (unit, address, value).
     devices: how many share the connection. failing: names of those that do not answer at present.
     on_open: called each time the link was opened. openings: how often that was.
+    expects_silence: many units are asked that are not there, which tells nothing of the connection.
     """
 
     def __init__(
@@ -86,6 +87,7 @@ class Bus:
         self.timing = timing
         self.devices = devices
         self.failing: set[str] = set()
+        self.expects_silence = False
         self.echo = Echo.UNKNOWN
         self._clock = clock
         self._permitted = permitted
@@ -240,7 +242,7 @@ class Bus:
             tally.wrong_answers += 1
             raise
         except NoAnswer as silence:
-            if self.link.is_deaf:
+            if self.link.is_deaf and not self.expects_silence:
                 self._give_up("nothing came back over the connection")
             raise self._explain(exchange, silence, tally) from None
         finally:

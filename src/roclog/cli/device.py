@@ -2,54 +2,46 @@
 
 from __future__ import annotations
 
-import asyncio
-import errno
 import json
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from roclog.cli.device_call import Call, asking_call, find_target, find_writable
+from roclog.cli.device_output import (
+    change_object,
+    change_text,
+    identity_object,
+    kept_text,
+    outcome_object,
+    print_identity,
+    print_plan,
+    print_settings,
+    sent_text,
+    settings_object,
+)
 from roclog.cli.output import tell
-from roclog.errors import DeviceError, LinkDown
-from roclog.quantities import format_duration, parse_duration
+from roclog.cli.record import duration_option
+from roclog.commanding import Outcome, change, neighbour, read_identity, reset
+from roclog.device_settings import (
+    Plan,
+    SettingErrors,
+    describe,
+    parse_settings,
+    plan,
+    writable_of,
+)
+from roclog.errors import DeviceError
+from roclog.quantities import format_duration
+from roclog.writable import RESET, SAVE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Sequence
+    from collections.abc import Callable, Coroutine
 
-    from roclog.clock import Clock
-    from roclog.commanding import Outcome, State
-    from roclog.config.settings import Device, Settings
-    from roclog.device_settings import Plan
-    from roclog.register_map import RegisterMap
+    from roclog.commanding import State
 
-T = TypeVar("T")
-
-_TAKEN: Final = (errno.EBUSY, errno.EWOULDBLOCK)
 _JSON: Final = "One JSON object on stdout."
-_NOT_SAVED: Final = "after a loss of power or a reset the old values are back"
-
-
-class Target(NamedTuple):
-    """What CONFIG and DEVICE name. config: as the user wrote it."""
-
-    config: Path
-    settings: Settings
-    device: Device
-    clock: Clock
-
-    @property
-    def profile(self) -> RegisterMap:
-        return self.device.profile
-
-    @property
-    def place(self) -> str:
-        return self.settings.connections[self.device.connection].place
-
-    def command(self, name: str) -> str:
-        """How to call another sub-command for it."""
-        return f"roclog device {name} {self.config} {self.device.name}"
 
 
 def _arguments(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -59,17 +51,8 @@ def _arguments(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _asking(function: Callable[..., Any]) -> Callable[..., Any]:
     """Options of what changes a device."""
-    function = click.option("--json", "as_json", is_flag=True, help=f"{_JSON} Needs --yes.")(
-        function
-    )
-    return click.option("--yes", is_flag=True, help="Do not ask; for scripts.")(function)
-
-
-def _duration(_: click.Context, parameter: click.Parameter, text: str) -> int:
-    try:
-        return parse_duration(text)
-    except ValueError as error:
-        raise click.BadParameter(str(error), param=parameter) from error
+    as_json = click.option("--json", "as_json", is_flag=True, help=f"{_JSON} Needs --yes.")
+    return click.option("--yes", is_flag=True, help="Do not ask; for scripts.")(as_json(function))
 
 
 @click.group()
@@ -100,18 +83,15 @@ def identify_command(config: Path, device: str, *, as_json: bool) -> None:
     Example:
       roclog device identify roclog.toml roc1
     """
-    from roclog.cli.device_output import identity_object, print_identity  # noqa: PLC0415
-    from roclog.commanding import read_identity  # noqa: PLC0415
-
-    target = _target(config, device)
-    if not target.profile.identity:
-        text = f"devices of profile {target.profile.name} do not say who they are"
+    call = Call(config, find_target(config, device), as_json)
+    if not call.profile.identity:
+        text = f"devices of profile {call.profile.name} do not say who they are"
         raise click.UsageError(f"{device}: {text}")
-    words = _run(read_identity(target.settings, device, target.clock))
+    words = call.run(read_identity(call.target))
     if as_json:
-        click.echo(json.dumps(identity_object(target.device, words)))
+        click.echo(json.dumps(identity_object(call.target.device, words), default=bytes.hex))
     else:
-        print_identity(target.device, words)
+        print_identity(call.target.device, words)
 
 
 @device.command("get")
@@ -126,18 +106,17 @@ def get_command(config: Path, device: str, *, names: tuple[str, ...], as_json: b
       roclog device get roclog.toml roc1
       roclog device get roclog.toml roc1 sample_period hold_period
     """
-    from roclog.cli.device_output import print_settings, settings_object  # noqa: PLC0415
-    from roclog.device_settings import describe  # noqa: PLC0415
-
-    target = _target(config, device, has_settings=True)
-    _check_names(target, names)
-    state = _look(target)
-    chosen = [s for s in describe(target.profile, state.words) if not names or s.name in names]
+    call = Call(config, find_writable(config, device), as_json)
+    known = [setting.point for setting in writable_of(call.profile).settings]
+    unknown = ", ".join(name for name in names if name not in known)
+    if unknown:
+        raise click.UsageError(f"no setting {unknown}; there is {', '.join(known)}")
+    state = call.look()
+    chosen = [s for s in describe(call.profile, state.words) if not names or s.name in names]
     if as_json:
-        click.echo(json.dumps(settings_object(target.device, state, chosen)))
+        click.echo(json.dumps(settings_object(call.target.device, state, chosen)))
     else:
-        _say_who(target, state, err=False)
-        print_settings(target.profile, chosen)
+        print_settings(call.profile, chosen)
 
 
 @device.command("set")
@@ -156,7 +135,7 @@ def set_command(
     MM-DD. What the register map does not allow is refused before anything is sent.
 
     A device keeps changed settings only until it loses its power, unless they are saved: with
-    --save, or later with `roclog device save`.
+    --save, or later with `roclog device save`. Either saves all that the device is set to.
 
     The HIAC ROC: `clock=now` or `clock=2026-11-23T06:00:00Z` sets registers 101-104, which its
     document calls writable and unused. limit_1 to limit_4 are the numbers in the registers (180,
@@ -168,31 +147,23 @@ def set_command(
       roclog device set roclog.toml roc1 sample_period=20s hold_period=10s
       roclog device set roclog.toml roc1 alarm_trigger=ISO limit_1=180 --save
     """
-    from roclog.device_settings import SettingErrors, parse_settings, plan  # noqa: PLC0415
-
-    target = _target(config, device, has_settings=True)
-    _check_asking(yes=yes, as_json=as_json)
+    call = asking_call(config, device, *([SAVE] if save else []), yes=yes, as_json=as_json)
+    now = call.target.clock.now
     try:
-        wanted = parse_settings(target.profile, changes, target.clock.now().utc)
-        _check_unit(target, wanted)
-        state = _look(target)
-        _check_neighbour(target, state, wanted, as_json=as_json)
-        planned = plan(target.profile, wanted, state.words)
-        if not as_json:
-            _say_who(target, state)
-            _show_plan(target, planned, state)
-        if not planned.steps and not save:
-            _finish(target, planned, None, as_json=as_json)
-            return
-        what = ("Write" if planned.steps else "Save") + (
-            " and save" if save and planned.steps else ""
-        )
-        _ask(f"{what} this?", yes=yes)
-        wanted = parse_settings(target.profile, changes, target.clock.now().utc)
-        planned = plan(target.profile, wanted, state.words)  # anew, since `now` has moved on
+        wanted = parse_settings(call.profile, changes, now().utc)
+        _check_unit(call, wanted)
+        state = call.look()
+        planned = plan(call.profile, wanted, state.words)
+        _check_neighbour(call, state, wanted)
+        _show_plan(call, planned, state, save=save)
+        if planned.steps or save:
+            verb = "Write" if planned.steps else "Save"
+            call.ask(f"{verb}{' and save' if save and planned.steps else ''} this?")
+            wanted = parse_settings(call.profile, changes, now().utc)  # `now` has moved on
+            planned = plan(call.profile, wanted, state.words)
     except SettingErrors as error:
         raise click.UsageError("\n".join(error.problems)) from error
-    _change(target, state, planned, save=save, as_json=as_json)
+    _change(call, state, planned, "set", save=save)
 
 
 @device.command("save")
@@ -207,19 +178,12 @@ def save_command(config: Path, device: str, *, yes: bool, as_json: bool) -> None
     Example:
       roclog device save roclog.toml roc1
     """
-    from roclog.cli.device_output import print_settings  # noqa: PLC0415
-    from roclog.device_settings import Plan, describe  # noqa: PLC0415
-    from roclog.writable import SAVE  # noqa: PLC0415
-
-    target = _target(config, device, has_settings=True)
-    _check_command(target, SAVE)
-    _check_asking(yes=yes, as_json=as_json)
-    state = _look(target)
+    call = asking_call(config, device, SAVE, yes=yes, as_json=as_json)
+    state = call.look()
     if not as_json:
-        _say_who(target, state)
-        print_settings(target.profile, describe(target.profile, state.words))
-    _ask("Save these values for good?", yes=yes)
-    _change(target, state, Plan((), (), ()), save=True, as_json=as_json)
+        print_settings(call.profile, describe(call.profile, state.words))
+    call.ask("Save these values for good?")
+    _change(call, state, Plan((), (), ()), "save", save=True)
 
 
 @device.command("reset")
@@ -229,7 +193,7 @@ def save_command(config: Path, device: str, *, yes: bool, as_json: bool) -> None
     default="30s",
     show_default=True,
     metavar="DURATION",
-    callback=_duration,
+    callback=duration_option,
     help="How long it may take until it answers again.",
 )
 @_asking
@@ -242,196 +206,100 @@ def reset_command(config: Path, device: str, *, wait: int, yes: bool, as_json: b
     Example:
       roclog device reset roclog.toml roc1
     """
-    from roclog.cli.device_output import outcome_object, print_outcome  # noqa: PLC0415
-    from roclog.commanding import reset  # noqa: PLC0415
-    from roclog.writable import RESET  # noqa: PLC0415
-
-    target = _target(config, device, has_settings=True)
-    _check_command(target, RESET)
-    _check_asking(yes=yes, as_json=as_json)
-    state = _look(target)
-    if not as_json:
-        _say_who(target, state)
-        click.echo("A reset loses settings that were not saved, and a sample not recorded yet.")
-    _ask("Reset it?", yes=yes)
-    if not as_json:
-        tell(f"waiting at most {format_duration(wait)} for {device} to answer again")
-    outcome = _run(reset(target.settings, device, target.clock, state, wait))
+    call = asking_call(config, device, RESET, yes=yes, as_json=as_json)
+    state = call.look()
+    call.note("a reset loses settings that were not saved, and a sample not recorded yet")
+    call.ask("Reset it?")
+    call.note(f"waiting at most {format_duration(wait)} for {device} to answer again")
+    outcome = Outcome()
+    _run(call, state, outcome, reset(call.target, state, outcome, wait))
     if as_json:
-        click.echo(json.dumps(outcome_object("reset", target.device, None, outcome)))
+        click.echo(json.dumps(outcome_object("reset", call.target.device, outcome)))
     elif not outcome.problems:
-        print_outcome(f"{device} answers again, and says that it is the same device", outcome)
-    _mention_unit(target, outcome)
-    _fail(target, outcome)
+        click.echo(f"{device} answers again, and says that it is the same device")
+    _conclude(call, outcome)
 
 
-def _target(config: Path, name: str, *, has_settings: bool = False) -> Target:
-    from roclog.clock import SystemClock  # noqa: PLC0415
-    from roclog.config import load  # noqa: PLC0415
-
-    settings = load(config)
-    if name not in settings.devices:
-        known = ", ".join(settings.devices)
-        raise click.UsageError(f"{config} has no device {name!r}; it has {known}")
-    device = settings.devices[name]
-    if has_settings and device.profile.writable is None:
-        text = f"profile {device.profile.name} declares no settings and no commands"
-        raise click.UsageError(f"{name}: {text}: nothing can be changed there")
-    return Target(config, settings, device, SystemClock())
-
-
-def _check_names(target: Target, names: Sequence[str]) -> None:
-    from roclog.device_settings import writable_of  # noqa: PLC0415
-
-    known = [setting.point for setting in writable_of(target.profile).settings]
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise click.UsageError(f"no setting {', '.join(unknown)}; there is {', '.join(known)}")
-
-
-def _check_command(target: Target, name: str) -> None:
-    from roclog.device_settings import writable_of  # noqa: PLC0415
-
-    if writable_of(target.profile).command(name) is None:
-        text = f"profile {target.profile.name} declares no {name}"
-        raise click.UsageError(f"{target.device.name}: {text}")
-
-
-def _check_asking(*, yes: bool, as_json: bool) -> None:
-    """Before anything is sent: whether the question can be asked at all."""
-    if yes:
-        return
-    if as_json:
-        raise click.UsageError("--json asks no questions: add --yes")
-    if not sys.stdin.isatty():
-        raise click.UsageError("this asks before it writes, and there is no terminal: add --yes")
-
-
-def _check_unit(target: Target, wanted: dict[str, int]) -> None:
+def _check_unit(call: Call, wanted: dict[str, int]) -> None:
     """No other device of the configuration may have the new address."""
-    from roclog.device_settings import writable_of  # noqa: PLC0415
+    own = call.target.device
+    name = writable_of(call.profile).unit
+    unit = wanted.get(name, own.unit)
+    for other in call.target.settings.devices.values():
+        if other.connection == own.connection and other.unit == unit != own.unit:
+            text = f"{unit} is the unit of {other.name} on the same line"
+            raise click.UsageError(f"{name}: {text}")
 
-    unit = wanted.get(writable_of(target.profile).unit)
-    for other in target.settings.devices.values():
-        same_line = other.connection == target.device.connection
-        if other.name != target.device.name and same_line and other.unit == unit:
-            name = writable_of(target.profile).unit
-            raise click.UsageError(f"{name}: {unit} is the unit of {other.name} on the same line")
 
-
-def _check_neighbour(
-    target: Target, state: State, wanted: dict[str, int], *, as_json: bool
-) -> None:
-    from roclog.commanding import neighbour  # noqa: PLC0415
-    from roclog.device_settings import writable_of  # noqa: PLC0415
-
-    unit = wanted.get(writable_of(target.profile).unit, state.unit)
+def _check_neighbour(call: Call, state: State, wanted: dict[str, int]) -> None:
+    unit = wanted.get(writable_of(call.profile).unit, state.unit)
     if unit == state.unit:
         return
-    name = target.device.name
-    if not as_json:
-        tell(f"asking whether anybody answers to unit {unit} already")
-    found = _run(neighbour(target.settings, name, target.clock, state, unit))
+    call.note(f"asking whether anybody answers to unit {unit} already")
+    found = call.run(neighbour(call.target, state, unit))
     if found:
-        raise DeviceError(f"{name} cannot become unit {unit}: {found}; nothing was written")
+        text = f"cannot become unit {unit}: {found}; nothing was written"
+        raise DeviceError(f"{call.name} {text}")
 
 
-def _look(target: Target) -> State:
-    from roclog.commanding import look  # noqa: PLC0415
+def _show_plan(call: Call, planned: Plan, state: State, *, save: bool) -> None:
+    if not call.as_json:
+        print_plan(call.profile, planned, state)
+    for remark in planned.remarks:
+        call.note(f"note: {remark}")
+    if save:
+        call.note(f"note: saving keeps all that {call.command('get')} shows, not only these")
 
-    return _run(look(target.settings, target.device.name, target.clock))
+
+def _change(call: Call, state: State, planned: Plan, what: str, *, save: bool) -> None:
+    outcome = Outcome(state)
+    if planned.steps or save:
+        _run(call, state, outcome, change(call.target, state, planned, outcome, save=save))
+    if call.as_json:
+        click.echo(json.dumps(change_object(what, call.target.device, planned, outcome)))
+    elif not outcome.problems and (planned.steps or save):
+        click.echo(f"{call.name}: {change_text(planned, outcome)}")
+    if outcome.problems:
+        kept = kept_text(call.profile, state, outcome)
+        if kept:
+            tell(f"{call.name}: {kept}")
+    elif planned.steps and not save:
+        lost = "after a loss of power or a reset the old values are back"
+        tell(f"not saved: {lost}; {call.command('save')} keeps the new ones")
+    _conclude(call, outcome)
 
 
-def _run(work: Coroutine[Any, Any, T]) -> T:
+def _run(call: Call, state: State, outcome: Outcome, work: Coroutine[Any, Any, None]) -> None:
+    """Who interrupts it is told what has left so far."""
     try:
-        return asyncio.run(work)
-    except LinkDown as error:
-        if isinstance(error.__cause__, OSError) and error.__cause__.errno in _TAKEN:
-            text = (
-                "a port belongs to one program at a time: if that is `roclog record`, stop it first"
-            )
-            raise LinkDown(f"{error}; {text}") from error
+        call.run(work)
+    except KeyboardInterrupt:
+        sent = sent_text(call.profile, state, outcome)
+        tell(f"{call.name}: interrupted; {sent}; {call.command('get')} shows what it holds")
         raise
 
 
-def _ask(question: str, *, yes: bool) -> None:
-    if not yes and not click.confirm(question, err=True):
-        tell("nothing was written")
-        raise click.exceptions.Exit(1)
+def _conclude(call: Call, outcome: Outcome) -> None:
+    """What is to be known besides, and what went wrong."""
+    for remark in outcome.remarks:
+        call.note(f"note: {remark}")
+    _mention_unit(call, outcome)
+    if outcome.problems:
+        raise DeviceError("\n".join(f"{call.name}: {text}" for text in outcome.problems))
 
 
-def _say_who(target: Target, state: State, *, err: bool = False) -> None:
-    from roclog.cli.device_output import who  # noqa: PLC0415
-
-    text = f"{target.device.name}: {who(target.profile, state)}, unit {state.unit}"
-    click.echo(f"{text} at {target.place}", err=err)
-
-
-def _show_plan(target: Target, planned: Plan, state: State) -> None:
-    from roclog.cli.device_output import print_plan  # noqa: PLC0415
-
-    print_plan(target.profile, planned, state)
-    for remark in planned.remarks:
-        tell(f"note: {remark}")
-
-
-def _change(target: Target, state: State, planned: Plan, *, save: bool, as_json: bool) -> None:
-    from roclog.commanding import change  # noqa: PLC0415
-
-    name = target.device.name
-    work = change(target.settings, name, target.clock, state, planned, save=save)
-    _finish(target, planned, _run(work), as_json=as_json)
-
-
-def _finish(target: Target, planned: Plan, outcome: Outcome | None, *, as_json: bool) -> None:
-    """outcome: None = there was nothing to do."""
-    from roclog.cli.device_output import (  # noqa: PLC0415
-        kept_steps,
-        outcome_object,
-        print_outcome,
-    )
-
-    name = target.device.name
-    if as_json:
-        click.echo(
-            json.dumps(
-                outcome_object("set" if planned.steps else "save", target.device, planned, outcome)
-            )
-        )
-    if outcome is None:
-        return
-    if not as_json and not outcome.problems:
-        done = f"{name}: {len(planned.steps)} written and read back" if planned.steps else name
-        saved = ", saved" if planned.steps else ": saved"
-        rest = "the others are what they were" if planned.steps else "read back unchanged"
-        print_outcome(f"{done}{saved if outcome.saved else ''}; {rest}", outcome)
-    _mention_unit(target, outcome)
-    if planned.steps and not outcome.saved and not outcome.problems:
-        tell(f"not saved: {_NOT_SAVED}; `{target.command('save')}` keeps the new ones")
-    kept = kept_steps(target.profile, planned, outcome)
-    if outcome.problems and kept and not outcome.saved:
-        tell(f"{name}: written all the same, and not saved: {', '.join(kept)}")
-    _fail(target, outcome)
-
-
-def _mention_unit(target: Target, outcome: Outcome) -> None:
-    """Where the configuration does not name the device's address any more."""
-    from roclog.device_settings import describe, writable_of  # noqa: PLC0415
-
-    state = outcome.state
+def _mention_unit(call: Call, outcome: Outcome) -> None:
+    """Where the configuration does not name the device's address any more, or soon will not."""
+    state, own = outcome.state, call.target.device
     if state is None:
         return
-    device, unit = target.device, state.unit
-    name = writable_of(target.profile).unit
-    named = next((s.value for s in describe(target.profile, state.words) if s.name == name), unit)
-    change = f"set unit = {named} of [devices.{device.name}] in {target.config}"
-    if unit != device.unit:
-        tell(f"{device.name} answers to unit {unit} from now on: {change}")
-    elif named != device.unit:
-        when = "after a reset" if outcome.saved else "once it is saved or reset"
-        tell(f"{device.name} answers to unit {unit} still, maybe to {named} {when}: then {change}")
-
-
-def _fail(target: Target, outcome: Outcome) -> None:
-    if outcome.problems:
-        raise DeviceError("\n".join(f"{target.device.name}: {text}" for text in outcome.problems))
+    change = f"of [devices.{own.name}] in {call.config}"
+    name = writable_of(call.profile).unit
+    written = next((step.new for step in outcome.sent if step.name == name), own.unit)
+    if state.unit != own.unit:
+        now = f"{own.name} answers to unit {state.unit} from now on"
+        tell(f"{now}: set unit = {state.unit} {change}")
+    elif written != own.unit:
+        when = "after a reset" if outcome.done else "once it is saved and reset"
+        still = f"{own.name} answers to unit {own.unit} still, maybe to {written} {when}"
+        tell(f"{still}: then set unit = {written} {change}")

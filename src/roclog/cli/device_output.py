@@ -14,22 +14,25 @@ from roclog.device_settings import describe, expected, setting_block
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from roclog.commanding import Outcome, State
+    from roclog.commanding import Outcome, State, Target
     from roclog.config.settings import Device
     from roclog.decode import Value
-    from roclog.device_settings import Plan, Shown
+    from roclog.device_settings import Plan, Shown, Step
     from roclog.register_map import Block, Point, RegisterMap
 
-_HEADINGS = ("register", "raw", "name", "value", "unit", "meaning", "may be")
+_HEADINGS = ("register", "raw", "name", "value", "meaning", "may be")
 _PLAN_HEADINGS = ("register", "name", "is", "will be", "word")
 _NUMERIC = ("register", "raw", "word")
 
 
-def who(register_map: RegisterMap, state: State) -> str:
+def print_who(target: Target, state: State) -> None:
     """The identity in one line."""
-    values = _identity_values(register_map, state.identity)
-    said = (str(values[block][name]).strip() for block, name in register_map.identity)
-    return printable(" ".join(text for text in said if text) or "does not say who it is")
+    device = target.device
+    values = _identity_values(device.profile, state.identity)
+    said = (str(values[block][name]).strip() for block, name in device.profile.identity)
+    text = printable(" ".join(filter(None, said)) or "does not say who it is")
+    place = target.settings.connections[device.connection].place
+    click.echo(f"{device.name}: {text}, unit {state.unit} at {place}")
 
 
 def print_identity(device: Device, words: Sequence[Sequence[int]]) -> None:
@@ -44,10 +47,7 @@ def print_identity(device: Device, words: Sequence[Sequence[int]]) -> None:
 def identity_object(device: Device, words: Sequence[Sequence[int]]) -> dict[str, object]:
     values = _identity_values(device.profile, words)
     return {
-        "schema": "roclog.device.identify/1",
-        "device": device.name,
-        "profile": device.profile.name,
-        "unit": device.unit,
+        **_head("identify", device, device.unit),
         "identity": {name: value for block in values.values() for name, value in block.items()},
     }
 
@@ -55,7 +55,7 @@ def identity_object(device: Device, words: Sequence[Sequence[int]]) -> dict[str,
 def print_settings(register_map: RegisterMap, settings: Sequence[Shown]) -> None:
     block = setting_block(register_map)
     rows = [
-        (str(s.address), f"{s.word:04X}", s.name, s.text, _unit(s), _meaning(s), s.allowed)
+        (str(s.address), f"{s.word:04X}", s.name, _value(s), _meaning(s), s.allowed)
         for s in settings
     ]
     print_table(block.title or block.name, _HEADINGS, rows, _NUMERIC)
@@ -64,10 +64,7 @@ def print_settings(register_map: RegisterMap, settings: Sequence[Shown]) -> None
 
 def settings_object(device: Device, state: State, settings: Sequence[Shown]) -> dict[str, object]:
     return {
-        "schema": "roclog.device.get/1",
-        "device": device.name,
-        "profile": device.profile.name,
-        "unit": state.unit,
+        **_head("get", device, state.unit),
         "settings": [_setting_object(setting) for setting in settings],
     }
 
@@ -86,42 +83,73 @@ def print_plan(register_map: RegisterMap, plan: Plan, state: State) -> None:
         click.echo(f"{name} is {_full(now[name])} already, and is not written")
 
 
-def print_outcome(text: str, outcome: Outcome) -> None:
-    click.echo(text)
-    for remark in outcome.remarks:
-        tell(f"note: {remark}")
+def change_text(plan: Plan, outcome: Outcome) -> str:
+    """What was done, where all went well."""
+    saved = ", saved" if outcome.done else ""
+    if not plan.steps:
+        return "saved; read back unchanged"
+    return f"{len(plan.steps)} written and read back{saved}; the others are what they were"
 
 
-def kept_steps(register_map: RegisterMap, plan: Plan, outcome: Outcome) -> list[str]:
-    """The settings of a plan that the device holds now, with their value."""
+def kept_text(register_map: RegisterMap, before: State, outcome: Outcome) -> str:
+    """What was written before something went wrong; empty where nothing was, or all is saved."""
     if outcome.state is None:
-        return []
-    held = {setting.name: setting for setting in describe(register_map, outcome.state.words)}
-    steps = [step for step in plan.steps if held[step.name].word == step.new]
-    return [f"{step.name} {held[step.name].text}" for step in steps]
+        return sent_text(register_map, before, outcome)
+    first = setting_block(register_map).address
+    held = outcome.state.words
+    steps = [step for step in outcome.sent if held[step.address - first] == step.new]
+    if not steps or outcome.done:
+        return ""
+    saved = "not saved" if outcome.done is False else "perhaps saved"
+    return f"written all the same, and {saved}: {_step_texts(register_map, before, steps)}"
 
 
-def outcome_object(
-    what: str, device: Device, plan: Plan | None, outcome: Outcome | None
-) -> dict[str, object]:
-    """outcome: None = there was nothing to do."""
-    state = outcome.state if outcome else None
-    steps = plan.steps if plan else ()
+def sent_text(register_map: RegisterMap, before: State, outcome: Outcome) -> str:
+    """What has left, where nothing was read back."""
+    sent = [_step_texts(register_map, before, outcome.sent)] if outcome.sent else []
+    if outcome.done is not False:
+        sent.append("the command to save" if outcome.sent else "the command")
+    return f"sent, and not read back: {', '.join(sent)}" if sent else "nothing was written"
+
+
+def _step_texts(register_map: RegisterMap, before: State, steps: Sequence[Step]) -> str:
+    after = describe(register_map, expected(register_map, before.words, steps))
+    texts = {setting.name: setting.text for setting in after}
+    return ", ".join(f"{step.name} {texts[step.name]}" for step in steps)
+
+
+def change_object(what: str, device: Device, plan: Plan, outcome: Outcome) -> dict[str, object]:
+    """saved: None = not known."""
+    steps = plan.steps
+    return {
+        **outcome_object(what, device, outcome),
+        "wanted": [
+            {"name": s.name, "register": s.address, "old": s.old, "new": s.new} for s in steps
+        ],
+        "already": list(plan.already),
+        "saved": outcome.done,
+        "remarks": [*plan.remarks, *outcome.remarks],
+    }
+
+
+def outcome_object(what: str, device: Device, outcome: Outcome) -> dict[str, object]:
+    """unit, settings: None = the device could not be read afterwards."""
+    state = outcome.state
+    settings = describe(device.profile, state.words) if state else []
+    return {
+        **_head(what, device, state.unit if state else None),
+        "remarks": outcome.remarks,
+        "problems": outcome.problems,
+        "settings": [_setting_object(setting) for setting in settings] if state else None,
+    }
+
+
+def _head(what: str, device: Device, unit: int | None) -> dict[str, object]:
     return {
         "schema": f"roclog.device.{what}/1",
         "device": device.name,
         "profile": device.profile.name,
-        "unit": state.unit if state else None,
-        "wanted": [
-            {"name": s.name, "register": s.address, "old": s.old, "new": s.new} for s in steps
-        ],
-        "already": list(plan.already) if plan else [],
-        "saved": outcome.saved if outcome else False,
-        "remarks": [*(plan.remarks if plan else ()), *(outcome.remarks if outcome else ())],
-        "problems": outcome.problems if outcome else [],
-        "settings": None
-        if state is None
-        else [_setting_object(setting) for setting in describe(device.profile, state.words)],
+        "unit": unit,
     }
 
 
@@ -141,9 +169,9 @@ def _identity_row(block: Block, point: Point, value: Value | None) -> tuple[str,
     return str(block.address + point.offset), point.name, text, meaning or point.title
 
 
-def _unit(setting: Shown) -> str:
-    """MM:SS says it itself."""
-    return "" if ":" in setting.text else setting.unit
+def _value(setting: Shown) -> str:
+    """With its unit; MM:SS needs none."""
+    return setting.text if ":" in setting.text else f"{setting.text} {setting.unit}".rstrip()
 
 
 def _meaning(setting: Shown) -> str:
@@ -168,19 +196,14 @@ def _tell_remarks(settings: Sequence[Shown]) -> None:
 
 
 def _setting_object(setting: Shown) -> dict[str, object]:
+    given = setting._asdict()
+    readings = [
+        {"reading": r.name, "value": float(r.value), "inside": r.inside} for r in setting.readings
+    ]
     return {
-        "name": setting.name,
-        "register": setting.address,
-        "raw": setting.word,
-        "value": setting.value,
-        "text": setting.text,
-        "unit": setting.unit,
-        "meaning": setting.meaning,
-        "doubtful": setting.doubtful,
-        "allowed": setting.allowed,
-        "readings": [
-            {"reading": r.name, "value": float(r.value), "inside": r.inside}
-            for r in setting.readings
-        ],
-        "remark": setting.remark,
+        "name": given.pop("name"),
+        "register": given.pop("address"),
+        "raw": given.pop("word"),
+        **given,
+        "readings": readings,
     }

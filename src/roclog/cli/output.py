@@ -14,6 +14,8 @@ from roclog.quantities import format_instant
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from rich.console import JustifyMethod
+
     from roclog.recording.reader import Recording
 
 DAMAGED: Final = 5
@@ -134,7 +136,9 @@ def _print_rich(
 
     table = Table(box=None, pad_edge=False, header_style="bold", expand=False)
     for heading in headings:
-        table.add_column(heading, justify="right" if heading in right else "left")
+        justify: JustifyMethod = "right" if heading in right else "left"
+        is_name = heading == "name"  # people have to type it
+        table.add_column(heading, justify=justify, no_wrap=is_name, overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     console = Console()
