@@ -19,7 +19,7 @@ NOBODY = 65534
 
 
 def pytest_configure() -> None:
-    """Behind a shell's & SIGINT is ignored, and programs that the tests start would inherit that."""
+    """Behind a shell's & SIGINT is ignored, and what the tests start would inherit that."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roclog.device_settings import (
+from roclog.commanding.settings import (
     Difference,
     SettingErrors,
     Step,

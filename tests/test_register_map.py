@@ -10,9 +10,11 @@ import pytest
 
 from roclog.devices import PROFILES
 from roclog.errors import RegisterMapError
-from roclog.point_check import RESERVED_NAMES
+from roclog.map_check import check_register_map
+from roclog.map_check.points import RESERVED_NAMES
 from roclog.register_map import (
     Block,
+    ClearOnRead,
     FlagAndClear,
     Point,
     RegisterMap,
@@ -24,7 +26,6 @@ from roclog.register_map import (
     WordType,
     camel_case,
 )
-from roclog.register_map_check import check_register_map
 from roclog.schema import MISSING, SIGNATURE, sample_type
 
 U16, U32, TEXT = WordType.U16, WordType.U32, WordType.TEXT
@@ -114,6 +115,12 @@ MISTAKES = {
     "a flag in a structure": (
         device(packed(trigger=FlagAndClear(flag=9, payload=((0, 2),)))),
         "trigger: a function has no flag",
+    ),
+    "a call that clears, twice": (
+        device(
+            packed(trigger=ClearOnRead(table=Table.HOLDING_REGISTERS, address=100), repeatable=True)
+        ),
+        "repeatable: the second call would tell another sample",
     ),
     "a number behind a structure": (
         device(packed(point("a", 7, U32))),

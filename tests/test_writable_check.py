@@ -10,8 +10,8 @@ import pytest
 
 from roclog.devices.hiac_roc import REGISTER_MAP as ROC
 from roclog.devices.hiac_roc import WRITABLE
-from roclog.register_map_check import find_flaws
-from roclog.writable import Command, Range, Reading, Setting
+from roclog.map_check import find_flaws
+from roclog.register_map.writable import Command, Range, Reading, Setting
 
 ISO = Range(when=1, name="ISO", low=Decimal(0), high=Decimal(29))
 WHOLE = (Reading(name="whole", factor=Decimal(1)),)

@@ -18,7 +18,7 @@ Wrong arguments from a calling program are plain ValueError.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -95,6 +95,10 @@ _CODES = {
     10: "gateway path unavailable",
     11: "gateway target device failed to respond",
 }
+
+
+GATEWAY_CODES: Final = frozenset({10, 11})
+"""Exceptions of a gateway that had no answer from the device; V1.1b3 section 7."""
 
 
 class ExceptionAnswer(DeviceError):

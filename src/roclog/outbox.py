@@ -200,20 +200,21 @@ class CommitGroup:
 
 async def _commit(recorder: Recorder, outboxes: Sequence[Outbox], notes: Sequence[Entry]) -> bool:
     failure = None
-    lots = [outbox.take() for outbox in outboxes]
-    batch = _in_order([*lots, notes])
+    # Who gave nothing has no part in this: it may have given something elsewhere when this is over.
+    lots = {outbox: lot for outbox in outboxes if (lot := outbox.take())}
+    batch = _in_order([*lots.values(), notes])
     try:
-        if any(lots):
+        if lots:
             await asyncio.wrap_future(recorder.commit(batch))
         elif notes:
             recorder.note(batch)
     except StorageError as error:
         failure = error
     except BaseException:
-        for outbox in outboxes:
+        for outbox in lots:
             outbox.put_back()
         raise
-    for outbox in outboxes:
+    for outbox in lots:
         outbox.settle(failure)
     return failure is None
 

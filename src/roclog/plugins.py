@@ -12,9 +12,9 @@ from functools import cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from roclog.errors import RegisterMapError
+from roclog.map_check import find_flaws
+from roclog.map_check.types import type_flaws
 from roclog.register_map import RegisterMap
-from roclog.register_map_check import find_flaws
-from roclog.type_check import type_flaws
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

@@ -35,7 +35,7 @@ from roclog.bus.timing import Framing
 from roclog.connect import make_bus
 from roclog.decode import decode
 from roclog.devices import hiac_roc
-from roclog.errors import DeviceError, ExceptionAnswer, LinkDown, WrongAnswer
+from roclog.errors import GATEWAY_CODES, DeviceError, ExceptionAnswer, LinkDown, WrongAnswer
 from roclog.modbus.identification import (
     ReadDeviceIdentification,
     ReportServerId,
@@ -61,7 +61,6 @@ SERVER_UNITS: Final = (0, *SERIAL_UNITS, 255)
 """Messaging on TCP/IP V1.0b, section 4.4.1.1: 255 and 0 are the server itself."""
 _QUESTION: Final = 4
 """Octets of the frame on a line."""
-_GATEWAY: Final = frozenset({10, 11})
 _REOPENING: Final = 0.25, 0.5, 1.0, 1.5
 """Seconds to wait for a link that was lost; the bus tries at least every two."""
 _MOST_LOSSES: Final = 3
@@ -182,7 +181,7 @@ class Scan:
             self._count_loss(error, tally)
             return Finding(unit, State.UNCLEAR, self._words(error))
         except ExceptionAnswer as refusal:
-            is_gateway = refusal.code in _GATEWAY and not self._is_line
+            is_gateway = refusal.code in GATEWAY_CODES and not self._is_line
             state = State.ABSENT if is_gateway else State.ANSWERS
             octets = bytes([refusal.function | EXCEPTION_BIT, refusal.code])
             text = str(refusal).partition(" to function")[0]

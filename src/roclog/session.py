@@ -109,6 +109,7 @@ class Session:
         await self._opened.aclose()
 
     async def _finish_devices(self) -> None:
+        await self._group.finish()  # how far a device was read is said when that is on disk
         for device in self.devices:
             try:
                 device.close()

@@ -12,7 +12,7 @@ from bench.recording import items
 
 from roclog.devices.hiac_roc import REGISTER_MAP
 from roclog.errors import RegisterMapError
-from roclog.register_map_check import check_register_map
+from roclog.map_check import check_register_map
 
 if TYPE_CHECKING:
     import subprocess

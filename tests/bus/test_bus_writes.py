@@ -141,7 +141,7 @@ def test_only_commands_to_a_device_ask_for_writes() -> None:
                 assert not any(isinstance(each, ast.Starred) for each in node.args)
                 if len(node.args) > 3 or node.keywords:
                     asking.add(path.name)
-    assert asking == {"commanding.py"}
+    assert asking == {"talk.py"}
 
 
 def test_not_after() -> None:

@@ -8,7 +8,8 @@ from bus_fakes import MS, TCP, FakeLink, VirtualClock, run
 from wire import mbap_frame
 
 from roclog.bus.bus import Bus
-from roclog.commanding import Outcome, Target, look, neighbour, reset
+from roclog.commanding.change import Outcome, reset
+from roclog.commanding.talk import Target, look, neighbour
 from roclog.config import load
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def target(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> T
     (tmp_path / "roclog.toml").write_text(CONFIG)
     settings = load(tmp_path / "roclog.toml")
     monkeypatch.setattr(
-        "roclog.commanding.make_bus",
+        "roclog.commanding.talk.make_bus",
         lambda _connection, _devices, clock, writes: Bus(device.link, TCP, clock, writes),
     )
     return Target(settings, settings.devices["roc1"], VirtualClock())

@@ -12,8 +12,8 @@ from roclog.config import Connection, RecordingSettings, load
 from roclog.config.settings import DirectionControl
 from roclog.devices import PROFILES
 from roclog.errors import ConfigError, RegisterMapError
+from roclog.map_check import check_register_map
 from roclog.register_map import SerialDefaults, WordOrder
-from roclog.register_map_check import check_register_map
 
 if TYPE_CHECKING:
     from collections.abc import Callable

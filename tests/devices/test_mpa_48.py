@@ -9,11 +9,11 @@ import pytest
 from roclog.decode import decode, named_values
 from roclog.devices.mpa_48 import SENSORS, mpa_48
 from roclog.errors import RegisterMapError
+from roclog.map_check import check_register_map
 from roclog.modbus.bits import ReadBits
 from roclog.modbus.library import crc
 from roclog.modbus.request import ReadRegisters, words
 from roclog.register_map import WordType
-from roclog.register_map_check import check_register_map
 from roclog.schema import sample_type
 from roclog.word_types import block_words
 

@@ -8,17 +8,18 @@ from typing import Any, get_type_hints
 
 import pytest
 
-from roclog import register_map, writable
+from roclog import register_map
 from roclog.config import load
 from roclog.devices import PROFILES
-from roclog.type_check import _NAMES, type_flaws
+from roclog.map_check.types import _NAMES, type_flaws
+from roclog.register_map import times, triggers, writable
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ROC = PROFILES["hiac-roc"]
 SAMPLE = ROC.samples[0]
 
 
-@pytest.mark.parametrize("module", [register_map, writable])
+@pytest.mark.parametrize("module", [register_map, times, triggers, writable])
 def test_every_annotation_can_be_read(module: Any) -> None:
     own = [
         kind for kind in vars(module).values() if getattr(kind, "__module__", "") == module.__name__

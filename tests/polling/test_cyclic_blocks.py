@@ -14,7 +14,7 @@ from bus_fakes import START, FakeLink, VirtualClock, answer_to, make, now, run
 from wire import rtu_frame
 
 from roclog.bus.tally import Tally
-from roclog.errors import NoAnswer, StorageError
+from roclog.errors import ExceptionAnswer, NoAnswer, StorageError
 from roclog.outbox import CommitGroup, Outbox
 from roclog.polling.clock_watch import ClockWatch
 from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
@@ -267,6 +267,24 @@ def test_a_run_without_a_sample_leaves_what_the_trigger_compares_with() -> None:
     run(main())
 
 
+def test_how_far_a_block_was_read_is_not_said_before_its_samples_are_on_disk() -> None:
+    """A kill in between would make what was lost look recorded."""
+
+    async def main() -> None:
+        link, bus = make()
+        Registers(link)
+        disk = Disk()
+        blocks, group = poller(bus, disk, block("a", 0, 1))
+        await blocks.turn(now())
+        blocks.close()
+        assert disk.carried == {}
+        await group.finish()
+        blocks.close()
+        assert disk.carried["/flow/a"]["seq"] == 1
+
+    run(main())
+
+
 def test_one_commit_for_all_devices() -> None:
     async def main() -> None:
         link, bus = make()
@@ -360,6 +378,28 @@ def test_a_read_that_clears_and_is_not_answered_is_a_gap_however_short(trigger: 
         (gap,) = [GAP.unpack(e.data) for e in disk.committed if e.topic.endswith("/gap")]
         assert gap is not None
         assert (gap["reason"], gap["expected"], gap["possible"]) == (Reason.UNREAD, 0, True)
+
+    run(main())
+
+
+def test_a_gateway_that_says_nobody_answered_is_a_read_without_an_answer() -> None:
+    """It may have cleared all the same; and the device is not there."""
+
+    async def main() -> None:
+        link, bus = make()
+        device, disk = Registers(link, words=[7, 1]), Disk()
+        blocks, group = poller(bus, disk, triggered(FLAG_IN_BLOCK))
+        await asyncio.sleep(0.6)
+        await blocks.turn(START)
+        await next_second()
+        hear, link.on_send = link.on_send, lambda adu: link.say(rtu_frame(adu[0], b"\x83\x0b"))
+        with pytest.raises(ExceptionAnswer, match="gateway"):
+            await blocks.turn(now())
+        link.on_send, device.words[1] = hear, 0
+        await asyncio.sleep(0.1)
+        await blocks.turn(now())
+        await group.finish()
+        assert disk.gaps() == [(Reason.UNREAD, 0)]
 
     run(main())
 

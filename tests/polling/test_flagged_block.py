@@ -17,7 +17,7 @@ from roclog.modbus.request import WriteRegister
 from roclog.polling.flagged_block import FlaggedBlock
 from roclog.register_map import WordOrder
 from roclog.samples import SampleMaker
-from roclog.schema import CLEAR, read_signature
+from roclog.schema import CLEAR, ClearResult, read_signature
 
 MS = 10**6
 PROFILE = PROFILES["hiac-roc"]
@@ -39,6 +39,7 @@ class Bench:
     time: int = 10**9
     previous: list[int] = field(default_factory=list)
     guarded: list[bool] = field(default_factory=list)
+    results: list[tuple[int, int]] = field(default_factory=list)
     empty: bool = True
 
     def now(self) -> Instant:
@@ -90,6 +91,7 @@ class Bench:
         clear = CLEAR.unpack(getattr(entry, "data", b""))
         if clear is not None:
             self.guarded.append(clear["guarded"])
+            self.results.append((clear["result"], clear["exception_code"]))
 
     def event(self, level: str, kind: str, text: str) -> None:
         del level, text
@@ -171,6 +173,16 @@ def test_an_unanswered_clear_is_followed_by_a_read_before_the_next() -> None:
     turn(bench, block)
     assert turn(bench, block)[-1] == "clear 300=0"
     assert turn(bench, block) == ["read 7", "clear 300=0"]
+
+
+def test_a_gateway_that_had_no_answer_to_a_clear_is_no_refusal() -> None:
+    """The device may have taken it."""
+    bench = Bench([(0, 0, 5), (1, 7, 5)], clears=[ExceptionAnswer(6, 11)])
+    block = make(bench, KNOWN)
+    turn(bench, block)
+    assert turn(bench, block)[-1] == "clear 300=0"
+    assert turn(bench, block) == ["read 7", "clear 300=0"]
+    assert bench.results == [(ClearResult.UNANSWERED, 11), (ClearResult.DONE, 0)]
 
 
 def test_a_refused_clear_is_told_once_and_tried_a_minute_later() -> None:

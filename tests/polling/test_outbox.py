@@ -83,6 +83,51 @@ def test_who_cannot_wait_takes_along_what_was_read_before() -> None:
     run(main())
 
 
+@dataclass
+class SlowDisk(Disk):
+    """Settles the oldest commit when it is told to."""
+
+    open: list[Future[None]] = field(default_factory=list)
+
+    def commit(self, entries: Sequence[Entry]) -> Future[None]:
+        self.lots.append((True, [entry.log_time for entry in entries]))
+        self.open.append(Future())
+        return self.open[-1]
+
+    async def settle(self, failure: StorageError | None = None) -> None:
+        done = self.open.pop(0)
+        if failure is None:
+            done.set_result(None)
+        else:
+            done.set_exception(failure)
+        await asyncio.sleep(0.001)
+
+
+def test_a_commit_in_which_one_had_nothing_says_nothing_of_what_it_gave_to_the_next() -> None:
+    async def main() -> None:
+        disk = SlowDisk()
+        group = CommitGroup(disk)
+        flagged, other, patient = (Outbox(n, disk, VirtualClock(), group) for n in ("f", "o", "p"))
+        patient.flush_soon()  # of a turn in which nothing was read
+        flagged.add(entry(1))
+        first = asyncio.create_task(flagged.flush())
+        await asyncio.sleep(0.001)
+        patient.add(entry(2))
+        patient.flush_soon()
+        other.add(entry(3))
+        second = asyncio.create_task(other.flush())
+        await asyncio.sleep(0.001)
+        await disk.settle()
+        assert await first
+        assert not patient.empty
+        await disk.settle(StorageError(Path("/disk"), "full"))
+        assert not await second
+        assert not patient.empty
+        assert patient.take()[0].log_time == 2
+
+    run(main())
+
+
 def test_notes_alone_are_written_and_not_committed() -> None:
     async def main() -> None:
         disk = Disk()

@@ -103,12 +103,16 @@ def _done() -> Future[None]:
 
 @dataclass
 class Device:
-    """Registers with stamps. after: ns until it answers. refused: counts that it does not read."""
+    """Registers with stamps. after: ns until it answers. refused: counts that it does not read.
+
+    mute: addresses that it does not answer for.
+    """
 
     inputs: dict[int, tuple[int, bytes]] = field(default_factory=dict)
     after: int = MS
     silent: bool = False
     refused: tuple[int, ...] = ()
+    mute: tuple[int, ...] = ()
     grouped: bool = False
     asked: list[tuple[int, int]] = field(default_factory=list)
 
@@ -120,6 +124,8 @@ class Device:
             return
         mei, address, count = adu[8], int.from_bytes(adu[9:11]), int.from_bytes(adu[11:13])
         self.asked.append((address, count))
+        if address in self.mute:
+            return
         pdu = bytes([0xAB, mei, 2])
         if count not in self.refused:
             size = {0x84: 7, 0x94: 4}[mei]
@@ -385,6 +391,24 @@ def test_time_in_which_nobody_looked() -> None:
 
 async def _answerless(made: Bench) -> Any:
     await made.turn(SECOND)
+
+
+def test_inputs_that_are_never_answered_for_keep_no_others_from_being_read() -> None:
+    wall = Wall(utc("2026-11-23T12:00:00"))
+
+    async def main() -> None:
+        made = bench(wall, count=60)
+        for address in range(60):
+            made.state(address, at=wall.start)
+        made.device.mute = (0,)
+        for _ in range(3):
+            assert isinstance(await outcome(_answerless(made)), NoAnswer)
+        read = {state["address"] for state in made.disk.states}
+        first = made.device.asked[0][1]
+        assert read == set(range(first, 60))
+        assert [address for address, _ in made.device.asked].count(0) == 3
+
+    run(main())
 
 
 def test_a_slow_answer_is_no_error_of_the_clock() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 from concurrent.futures import Future
@@ -10,12 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from recording_bench import START, Bench, ManualClock, open_bench, sample
+from mcap.records import Metadata
+from recording_bench import MAKER, START, Bench, ManualClock, open_bench, sample
 
 import roclog
 from roclog.errors import StorageError
 from roclog.recording.entries import log_entry
 from roclog.recording.retention import Retention
+from roclog.recording.scan import Scan
 from roclog.recording.segment import HotSegment
 from roclog.recording.writer import Limits, _in_order, _Job
 
@@ -118,6 +121,29 @@ def test_a_dead_disk_fails_the_commit_and_a_living_one_takes_it_again(
     monkeypatch.undo()
     bench.commit(2)
     assert counts(bench.root) == [0.01, 0.02]
+
+
+def test_what_is_learnt_while_the_disk_takes_nothing_is_in_the_next_segment(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the writer does not even try, since it has failed just now."""
+    bench.commit(1)
+    monkeypatch.setattr(os, "write", FailingDisk(os.write, 0, 10**6, errno.ENOSPC))
+    with pytest.raises(StorageError):
+        bench.commit(2)
+    begun = bench.writer.begin(
+        "roclog.device.roc1", {"unit": "9"}, {MAKER.topic: None, "/roc1": {"seq": 0, "who": "B"}}
+    )
+    with pytest.raises(StorageError):
+        begun.result(10)
+    monkeypatch.undo()
+    bench.commit(2)
+    newest = max(bench.directory.hot_segments(), key=lambda path: path.name)
+    records = [found.record for found in Scan(newest)]
+    said = {record.name: record.metadata for record in records if isinstance(record, Metadata)}
+    assert said["roclog.device.roc1"]["unit"] == "9"
+    assert json.loads(said["roclog.state"]["state"]) == {"/roc1": {"seq": 0, "who": "B"}}
+    assert bench.directory.inherit().carry["/roc1"]["who"] == "B"
 
 
 def test_what_was_only_noted_is_written_again_with_the_next_segment(

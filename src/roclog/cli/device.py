@@ -23,8 +23,8 @@ from roclog.cli.device_output import (
 )
 from roclog.cli.output import tell
 from roclog.cli.record import duration_option
-from roclog.commanding import Outcome, change, neighbour, read_identity, reset
-from roclog.device_settings import (
+from roclog.commanding.change import Outcome, change, reset
+from roclog.commanding.settings import (
     Plan,
     SettingErrors,
     describe,
@@ -32,14 +32,15 @@ from roclog.device_settings import (
     plan,
     writable_of,
 )
+from roclog.commanding.talk import neighbour, read_identity
 from roclog.errors import DeviceError
 from roclog.quantities import format_duration
-from roclog.writable import RESET, SAVE
+from roclog.register_map.writable import RESET, SAVE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
-    from roclog.commanding import State
+    from roclog.commanding.talk import State
 
 _JSON: Final = "One JSON object on stdout."
 

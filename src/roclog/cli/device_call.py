@@ -13,7 +13,7 @@ import click
 from roclog.cli.device_output import print_who
 from roclog.cli.output import tell
 from roclog.clock import SystemClock
-from roclog.commanding import Target, look
+from roclog.commanding.talk import Target, look
 from roclog.config import load
 from roclog.config.reading import suggestion
 from roclog.errors import DeviceError, LinkDown
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Coroutine
     from pathlib import Path
 
-    from roclog.commanding import State
+    from roclog.commanding.talk import State
     from roclog.register_map import RegisterMap
 
 T = TypeVar("T")

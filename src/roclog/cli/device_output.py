@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING
 import click
 
 from roclog.cli.output import print_table, printable, tell
-from roclog.commanding import identity_blocks
+from roclog.commanding.settings import describe, expected, setting_block
+from roclog.commanding.talk import identity_blocks
 from roclog.decode import decode, named_values
-from roclog.device_settings import describe, expected, setting_block
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from roclog.commanding import Outcome, State, Target
+    from roclog.commanding.change import Outcome
+    from roclog.commanding.settings import Plan, Shown, Step
+    from roclog.commanding.talk import State, Target
     from roclog.config.settings import Device
     from roclog.decode import Value
-    from roclog.device_settings import Plan, Shown, Step
     from roclog.register_map import Block, Point, RegisterMap
 
 _HEADINGS = ("register", "raw", "name", "value", "meaning", "may be")

@@ -32,7 +32,7 @@ from roclog.register_map import (
     Table,
     WordType,
 )
-from roclog.writable import RESET, SAVE, Command, Range, Reading, Setting, Writable
+from roclog.register_map.writable import RESET, SAVE, Command, Range, Reading, Setting, Writable
 
 _HUNDREDTH: Final = Decimal("0.01")
 _TENTH: Final = Decimal("0.1")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from roclog.errors import DeviceError, ExceptionAnswer, NoAnswer, WrongAnswer
 from roclog.modbus.dialect import STANDARD
-from roclog.polling.refusal import described
+from roclog.polling.refusal import described, is_refusal
 from roclog.register_map import ClearOnRead, Counter
 from roclog.request_plan import flag_request, plan_requests
 from roclog.samples import Reading
@@ -213,6 +213,9 @@ class CyclicBlocks:
                 try:
                     await self._fetch(self._plan[number], due)
                 except ExceptionAnswer as refusal:
+                    if not is_refusal(refusal):
+                        self._first = self._behind(number)
+                        raise
                     await self._tell_refusal(number, refusal)
                 except WrongAnswer as wrong:
                     if not self._dialect.has_functions:
@@ -242,11 +245,10 @@ class CyclicBlocks:
             return
         try:
             answer = await self._ask(fetch, due)
-        except ExceptionAnswer:
-            raise
-        except DeviceError:
-            for part in fetch.parts:
-                self._blocks[part.block].lose(due)
+        except DeviceError as error:
+            if not is_refusal(error):
+                for part in fetch.parts:
+                    self._blocks[part.block].lose(due)
             raise
         for part in fetch.parts:
             block = self._blocks[part.block]
@@ -288,6 +290,8 @@ class CyclicBlocks:
         return False
 
     def close(self) -> None:
+        if not self.outbox.empty:
+            return  # what waits says itself how far it goes, once it is on disk
         for block in self._blocks:
             block.close(self.outbox)
 

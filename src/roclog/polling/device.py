@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Final
 
-from roclog.errors import DeviceError, ExceptionAnswer, LinkDown
+from roclog.errors import GATEWAY_CODES, DeviceError, ExceptionAnswer, LinkDown
 from roclog.polling.facts import device_metadata, read_facts
 from roclog.polling.flagged_block import FlaggedBlock
-from roclog.polling.refusal import described
+from roclog.polling.refusal import described, is_refusal
 from roclog.samples import link_entry, replaced_entry
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class PolledDevice:
 
     make_pollers: what is read of it, one after the other, given what earlier runs left of each
     topic: ``carried`` at first, nothing once another device answers in its place.
-    answered_at: UTC ns, when it last did in an earlier run, 0 = not known.
+    answered_at: UTC ns, when it was last read in an earlier run, 0 = not known.
     phase: nanoseconds from the start to the first poll, so that devices do not all come at once.
     """
 
@@ -83,7 +83,12 @@ class PolledDevice:
         self._phase = phase
         self._facts_due = True
         self._facts_after = 0
+        self._facts_first = True
         self._facts_read: int | None = None
+        self._facts_refused: set[str] = set()
+        self._described: Mapping[str, str] = {}
+        self._heard_at: int | None = None
+        self._unread_since = 0
         self._openings = 0
         self._facts_failures = 0
         self._facts_postponed = 0
@@ -183,24 +188,47 @@ class PolledDevice:
         try:
             if self._facts_due and self._may_read_facts():
                 await self._read_facts(due)
-            if not self._is_replaced or self._hand_over(index):
-                await self.pollers[index].turn(due)
+            if not self._is_replaced or await self._hand_over():
+                await self._turn(index, due)
         except DeviceError as error:
             self._tell_trouble(error)
             return
         self._tell_recovery()
         if self._flagged is not None and self._flagged.powered_up:
             self._flagged.powered_up = False
-            self._facts_due = True
+            self._facts_due = self._facts_first = True
+
+    async def _turn(self, index: int, due: int) -> None:
+        """One of a poller; what failed in the end may have heard the device all the same."""
+        began, before = self._clock.now(), self._heard()
+        try:
+            await self.pollers[index].turn(due)
+        finally:
+            if self._heard() > before:
+                self._heard_at = began.monotonic
+                self._tell_unread(began.utc)
+                if not self._facts_due:  # else nobody knows yet who it was
+                    self._answered_at = began.utc
+
+    def _tell_unread(self, now: int) -> None:
+        """The next device may have told who it is long before it was read."""
+        since, self._unread_since = self._unread_since, 0
+        if since and now - since > self.device.poll:
+            self.pollers[0].outbox.add(replaced_entry(self.device.name, since, now))
+
+    def _heard(self) -> int:
+        own = (n for code, n in self._tally.exceptions.items() if code not in GATEWAY_CODES)
+        return self._tally.answers + sum(own)
 
     def _want_facts(self) -> None:
         """Unless they were read just now: another device may have been put in place."""
         if self._facts_read is None or self._now() - self._facts_read > _ABSENT:
-            self._facts_due = True
+            self._facts_due = self._facts_first = True
 
     def _may_read_facts(self) -> bool:
         """Where it is known who answered before, not even a poll after a silence comes first."""
-        if self._silent_since is not None and self._succession.is_known and not self._are_calls:
+        is_back = self._facts_first and self._silent_since is not None
+        if is_back and self._succession.is_known and not self._are_calls:
             return self._failures % _FACTS_FIRST > 0
         return self._now() >= self._facts_after and not self._gives_way()
 
@@ -218,56 +246,91 @@ class PolledDevice:
         self._facts_failures += 1
         is_late = self._facts_failures > _PATIENCE or self._are_calls
         pause = _FACTS_PAUSE if is_late else 1.5 * self.device.poll
+        after, requests = self._facts_after, self._tally.requests
         self._facts_after = self._now() + int(pause)
-        for block in self.device.profile.facts:
-            try:
-                found = await read_facts(block, self.device, self._bus, self._tally, due)
-                self.facts[block.name] = found
-            except ExceptionAnswer as refusal:
-                unit, dialect = self.device.unit, self.device.profile.dialect
-                why = await described(refusal, unit, self._bus, self._tally, dialect)
-                self.outbox.event("warning", "facts", f"{block.name} block: {why}")
-        self._facts_due = False
+        try:
+            found = await self._found_facts(due)
+        except LinkDown:
+            if self._tally.requests == requests:
+                self._facts_after = after  # nothing was sent, and nothing was called
+            raise
+        self._facts_due = self._facts_first = False
         self._facts_read = self._now()
         self._openings = self._bus.openings
         self._facts_postponed = 0
         self._facts_failures = 0
         self._facts_after = self._facts_after if self._are_calls else 0
-        self._set_cycle()
-        if not self._note_identity():
-            metadata = device_metadata(self.device, self.facts)
+        changed = self._succession.see(found)
+        self.facts = found if changed else {**self.facts, **found}
+        if changed:
+            self._end_of_last(changed)
+        elif not self._is_replaced:
+            self._set_cycle()
+            self._describe()
+
+    async def _found_facts(self, due: int) -> dict[str, dict[str, Value | None]]:
+        """By block; those that the device refuses are left out."""
+        found = {}
+        for block in self.device.profile.facts:
+            try:
+                found[block.name] = await read_facts(
+                    block, self.device, self._bus, self._tally, due
+                )
+            except ExceptionAnswer as refusal:
+                if not is_refusal(refusal):
+                    raise
+                await self._tell_refusal(block.name, refusal)
+            else:
+                self._facts_refused.discard(block.name)
+        return found
+
+    async def _tell_refusal(self, name: str, refusal: ExceptionAnswer) -> None:
+        if name not in self._facts_refused:
+            self._facts_refused.add(name)
+            unit, dialect = self.device.unit, self.device.profile.dialect
+            why = await described(refusal, unit, self._bus, self._tally, dialect)
+            self.outbox.event("warning", "facts", f"{name} block: {why}")
+
+    def _describe(self) -> None:
+        """Into the segment, and every later one; not again where nothing is new."""
+        metadata = device_metadata(self.device, self.facts)
+        if metadata != self._described:
+            self._described = metadata
             self._writer.describe(f"roclog.device.{self.device.name}", metadata)
 
-    def _note_identity(self) -> bool:
-        """Whether another device answers than before."""
-        changed = self._succession.see(self.facts)
-        if changed:
-            text = f"another device answers: {changed}; a new epoch begins"
-            self.outbox.event("warning", "identity", text)
+    def _end_of_last(self, changed: str) -> None:
+        """Another device answers than before."""
+        text = f"another device answers: {changed}; a new epoch begins"
+        self.outbox.event("warning", "identity", text)
+        if not self._is_replaced:
             self._is_replaced = True
             for poller in self.pollers:
                 poller.close()
-        return bool(changed)
 
-    def _hand_over(self, index: int) -> bool:
+    async def _hand_over(self) -> bool:
         """The next device begins when everything of the last one is on disk; False = not yet.
 
-        index: of the poller that is to read it first.
+        So is the gap between the two: were the process killed in between, the next run would notice
+        the other device once more, and tell a second one.
         """
-        waiting = [poller.outbox for poller in self.pollers if not poller.outbox.empty]
-        for outbox in waiting:
-            outbox.flush_soon()
-        if waiting:
+        for poller in self.pollers:
+            await poller.outbox.flush()
+        if not all(poller.outbox.empty for poller in self.pollers):
+            return False
+        now = self._clock.now().utc
+        since, self._answered_at = min(self._answered_at or now, now), now
+        outbox = self.pollers[0].outbox
+        outbox.add(replaced_entry(self.device.name, since, now))
+        if not await outbox.flush():
             return False
         self._is_replaced = False
-        self._succession.begin(device_metadata(self.device, self.facts))
+        self._unread_since = now
+        self._described = device_metadata(self.device, self.facts)
+        self._succession.begin(self._described)
         self._samples_before = self.samples
         self.pollers = self._make_pollers({})
         self._set_cycle()
         self._clock_watch.restart()
-        now = self._clock.now().utc
-        since = min(self._answered_at or now, now)
-        self.pollers[index].outbox.add(replaced_entry(self.device.name, since, now))
         return True
 
     def _set_cycle(self) -> None:
@@ -285,7 +348,8 @@ class PolledDevice:
         self._failures += 1
         if self._silent_since is None:
             self._silent_since = self._now()
-        if isinstance(error, LinkDown) or self._now() - self._silent_since > _ABSENT:
+        since = self._silent_since if self._heard_at is None else self._heard_at
+        if isinstance(error, LinkDown) or self._now() - since > _ABSENT:
             self._want_facts()
         if self._failures < 2 and not isinstance(error, LinkDown):
             return
@@ -296,7 +360,8 @@ class PolledDevice:
 
     def _tell_recovery(self) -> None:
         self._has_answered = True
-        self._answered_at = self._clock.now().utc
+        if self._facts_first and self._facts_due:
+            self._ask_once_more()
         if self._silent_since is None:
             return
         silent = self._now() - self._silent_since
@@ -305,6 +370,13 @@ class PolledDevice:
         self._silent_since = None
         self._failures = 0
         self._trouble = ""
+
+    def _ask_once_more(self) -> None:
+        """It was read without having told who it is. If it does not soon, then once a minute."""
+        self._facts_first = False
+        self._openings = self._bus.openings
+        if not self._are_calls:
+            self._facts_failures = self._facts_after = 0
 
     def _report_link(self, now: int, *, at_last: bool = False) -> None:
         if now - self._link_since.monotonic < _LINK_PERIOD and not at_last:

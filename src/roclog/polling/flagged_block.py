@@ -12,6 +12,7 @@ from roclog.errors import DeviceError, ExceptionAnswer
 from roclog.handshake import Memory, Note, Seen, Verdict, after_clear, judge
 from roclog.modbus.request import WriteRegister, words
 from roclog.polling.block_watch import BlockWatch
+from roclog.polling.refusal import is_refusal
 from roclog.register_map import FlagAndClear
 from roclog.request_plan import read_request
 from roclog.samples import Reading, SampleMaker
@@ -222,8 +223,10 @@ class FlaggedBlock:
         except TooLate:
             raise
         except ExceptionAnswer as refusal:
-            result, code = ClearResult.REFUSED, refusal.code
-            self._tell_refusal(refusal)
+            result, code = ClearResult.UNANSWERED, refusal.code
+            if is_refusal(refusal):
+                result = ClearResult.REFUSED
+                self._tell_refusal(refusal)
         except DeviceError:  # it may have taken effect; the next read tells
             result = ClearResult.UNANSWERED
         if result is ClearResult.DONE and self._refused:

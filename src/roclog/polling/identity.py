@@ -35,11 +35,9 @@ def identity(profile: RegisterMap, facts: Facts) -> dict[str, str]:
 
 
 def difference(before: Mapping[str, str], now: Mapping[str, str]) -> str:
-    """What changed, for people; empty where one of the two is not known or both are the same."""
-    if not before or not now:
-        return ""
-    names = [name for name in now if before.get(name) != now[name]]
-    return ", ".join(f"{name} {now[name]!r} instead of {before.get(name)!r}" for name in names)
+    """What changed, for people; empty where nothing did that both tell."""
+    names = [name for name in now if name in before and before[name] != now[name]]
+    return ", ".join(f"{name} {now[name]!r} instead of {before[name]!r}" for name in names)
 
 
 class Succession:
@@ -70,10 +68,11 @@ class Succession:
         """What tells the device that answers now from the one before; empty where nothing does."""
         found = identity(self._device.profile, facts)
         changed = difference(self._known, found)
-        if found and found != self._known:
-            first, self._known = not self._known, found
-            if first:
-                self._writer.carry(identity_topic(self._device.name), self._carry())
+        if changed:
+            self._known = found
+        elif not found.keys() <= self._known.keys():
+            self._known |= found  # a block that was refused, a point that was missing
+            self._writer.carry(identity_topic(self._device.name), self._carry())
         return changed
 
     def begin(self, metadata: Mapping[str, str]) -> None:
@@ -83,4 +82,4 @@ class Succession:
         self._writer.begin(f"roclog.device.{self._device.name}", metadata, forgotten)
 
     def _carry(self) -> Mapping[str, object]:
-        return {"seq": 0, "identity": self._known}
+        return {"seq": 0, "identity": dict(self._known)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from roclog.errors import DeviceError
+from roclog.errors import GATEWAY_CODES, DeviceError, ExceptionAnswer
 from roclog.modbus.functions import (
     REMOTE_EXECUTION_ERROR,
     command_status,
@@ -14,8 +14,12 @@ from roclog.modbus.functions import (
 if TYPE_CHECKING:
     from roclog.bus.bus import Bus
     from roclog.bus.tally import Tally
-    from roclog.errors import ExceptionAnswer
     from roclog.modbus.dialect import Dialect
+
+
+def is_refusal(error: DeviceError) -> bool:
+    """The device itself said no. A gateway's word for a silent device is a time-out."""
+    return isinstance(error, ExceptionAnswer) and error.code not in GATEWAY_CODES
 
 
 async def described(

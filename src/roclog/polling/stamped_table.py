@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 from roclog.changes import Change, ChangeKind, ChangeMemory
 from roclog.clock import Instant
-from roclog.errors import ExceptionAnswer
+from roclog.errors import DeviceError, ExceptionAnswer
 from roclog.modbus.stamped import Layout, LayoutProbe, parse, plausible_layout, split
+from roclog.polling.refusal import is_refusal
 from roclog.schema import Reason
 from roclog.stamps import StampDecoder, parse_zone
 from roclog.stamps.decoder import TOLERANCE
@@ -96,6 +97,7 @@ class StampedTable:
             for inputs in lists
             for request in split(inputs.mei, inputs.address, inputs.count)
         ]
+        self._first = 0
         outbox.on_give_up = self._forget
 
     @property
@@ -106,23 +108,23 @@ class StampedTable:
         """Read every list once.
 
         Raises:
-            DeviceError: no answer, or a wrong one; the inputs read before it are kept.
+            DeviceError: no answer, or a wrong one; the inputs read before it are kept, and the next
+                turn begins behind it, so that it keeps no other from being read.
         """
         self._tell_given_up()
         while self._unprobed:
             await self._probe(self._unprobed[0], due)
             del self._unprobed[0]
+        begin, self._first = self._first, 0
         try:
-            for piece in self._pieces:
+            for piece in (*self._pieces[begin:], *self._pieces[:begin]):
                 try:
-                    answer = await self._bus.transact(
-                        self._unit, piece.request, self._tally, due=due
-                    )
-                except ExceptionAnswer as refusal:
-                    self._tell_refusal(piece.request, refusal)
-                    continue
-                self._tell_acceptance(piece.request)
-                self._take(piece, answer)
+                    await self._read(piece, due)
+                except DeviceError as error:
+                    if not is_refusal(error):
+                        self._first = self._pieces.index(piece) + 1
+                        raise
+                    self._tell_refusal(piece.request, error)
                 if len(self._waiting) >= _ENOUGH:
                     await self._commit()
         finally:
@@ -133,6 +135,11 @@ class StampedTable:
         if any(piece.last for piece in self._pieces) and self.outbox.empty:
             carry = self._maker.carry(self._memory, self._seen_until())
             self.outbox.checkpoint(self._maker.topic, carry)
+
+    async def _read(self, piece: _Piece, due: int) -> None:
+        answer = await self._bus.transact(self._unit, piece.request, self._tally, due=due)
+        self._tell_acceptance(piece.request)
+        self._take(piece, answer)
 
     def _take(self, piece: _Piece, answer: Answer) -> None:
         last, piece.last = piece.last, answer
@@ -248,7 +255,9 @@ class StampedTable:
         while (request := probe.request) is not None:
             try:
                 answer = await self._bus.transact(self._unit, request, self._tally, due=due)
-            except ExceptionAnswer:
+            except ExceptionAnswer as refusal:
+                if not is_refusal(refusal):
+                    raise
                 probe.skip()
             else:
                 probe.take(answer.pdu)
@@ -263,7 +272,7 @@ class StampedTable:
             if piece.request.mei is inputs.mei and inputs.address <= piece.request.address < end:
                 piece.layout = probe.layout
 
-    def _tell_refusal(self, request: ReadStamped, refusal: ExceptionAnswer) -> None:
+    def _tell_refusal(self, request: ReadStamped, refusal: DeviceError) -> None:
         if request not in self._refused:
             self._refused.add(request)
             text = f"{_named(request)} refused, asked for all the same: {refusal}"

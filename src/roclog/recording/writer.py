@@ -156,6 +156,8 @@ class Writer:
     def _serve(self, jobs: list[_Job]) -> None:
         if not jobs:
             return
+        for job in jobs:
+            self._learn(job)
         if self._failure is None or self._clock.now().monotonic >= self._retry_at:
             self._failure = self._try(jobs)
         for job in jobs:
@@ -183,8 +185,6 @@ class Writer:
         return None
 
     def _write(self, jobs: list[_Job]) -> None:
-        for job in jobs:
-            self._learn(job)
         begins = any(job.begins for job in jobs)
         entries = _in_order(jobs)
         segment = self._segment_for(entries, begins=begins)
@@ -203,7 +203,7 @@ class Writer:
         self._unsynced = [] if durable else self._unsynced + entries
 
     def _learn(self, job: _Job) -> None:
-        """What the head of the next segment says."""
+        """What the head of the next segment says, whatever the disk takes until then."""
         if job.metadata is not None:
             self._metadata[job.metadata[0]] = job.metadata[1]
         for topic, values in (job.carry or {}).items():

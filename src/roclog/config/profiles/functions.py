@@ -17,6 +17,7 @@ from roclog.config.profiles.register_tables import (
 )
 from roclog.config.profiles.register_triggers import counter_or_change
 from roclog.config.profiles.registers import meaning
+from roclog.map_check import find_flaws
 from roclog.register_map import (
     PACKED_OCTETS,
     Block,
@@ -26,7 +27,6 @@ from roclog.register_map import (
     Table,
     WordType,
 )
-from roclog.register_map_check import find_flaws
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

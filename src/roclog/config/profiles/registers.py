@@ -13,6 +13,7 @@ from roclog.config.leaves import shown
 from roclog.config.profiles.register_tables import PointTable, given
 from roclog.config.profiles.register_triggers import time_source, trigger
 from roclog.config.reading import joined
+from roclog.map_check import find_flaws
 from roclog.register_map import (
     MAX_BLOCK,
     MAX_READ_BITS,
@@ -25,7 +26,6 @@ from roclog.register_map import (
     WordOrder,
     WordType,
 )
-from roclog.register_map_check import find_flaws
 from roclog.stamps import parse_zone
 from roclog.word_types import CODES
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from roclog.register_map import Table, WordType
-from roclog.writable import COMMANDS
+from roclog.register_map.writable import COMMANDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from roclog.register_map import Block, Point, RegisterMap
-    from roclog.writable import Setting, Writable
+    from roclog.register_map.writable import Setting, Writable
 
 SETTING_TYPES: Final = (
     WordType.U16,

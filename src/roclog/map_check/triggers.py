@@ -43,6 +43,8 @@ def trigger_flaws(block: Block) -> Iterator[tuple[str, str]]:
         case Change():
             found = _ranges("change", trigger.payload, block)
     yield from (("trigger", text) for text in found)
+    if block.repeatable and isinstance(trigger, ClearOnRead):
+        yield "repeatable", "repeatable: the second call would tell another sample"
 
 
 def time_flaws(block: Block) -> Iterator[tuple[str, str]]:

@@ -13,15 +13,16 @@ from enum import Enum
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final, Union, get_args, get_origin, get_type_hints
 
-from roclog.register_map import RegisterMap
-from roclog.writable import Writable
+from roclog.register_map import RegisterMap, Table
+from roclog.register_map.writable import Writable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_NAMES: Final = {"Decimal": Decimal, "Writable": Writable}
+_NAMES: Final = {"Decimal": Decimal, "Table": Table, "Writable": Writable}
 """Words of annotations that their modules know for type checkers only."""
-_MODULES: Final = frozenset({RegisterMap.__module__, Writable.__module__})
+_WORDS: Final = RegisterMap.__module__
+"""The package of all of them."""
 
 
 def type_flaws(register_map: RegisterMap) -> list[str]:
@@ -42,7 +43,7 @@ def _flaws(value: object, kind: Any, path: str) -> Iterator[str]:
 
 
 def _has_words(kind: Any) -> bool:
-    return kind.__module__ in _MODULES and is_dataclass(kind)
+    return is_dataclass(kind) and kind.__module__.startswith(_WORDS)
 
 
 def _union_flaws(value: object, arms: tuple[Any, ...], path: str) -> Iterator[str]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from decimal import Decimal
 
     from roclog.register_map import Point
-    from roclog.writable import Range, Setting
+    from roclog.register_map.writable import Range, Setting
 
 _SECOND: Final = 10**9
 _WHOLE: Final = re.compile(r"0|-?[1-9][0-9]{0,99}")

@@ -9,9 +9,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from roclog.decode import decode, named_values
-from roclog.quantities import parse_instant
-from roclog.setting_values import (
+from roclog.commanding.values import (
     ReadingOf,
     allowed_text,
     number_of,
@@ -20,12 +18,14 @@ from roclog.setting_values import (
     text_of,
     word_of,
 )
+from roclog.decode import decode, named_values
+from roclog.quantities import parse_instant
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from roclog.register_map import Block, Point, RegisterMap
-    from roclog.writable import Writable
+    from roclog.register_map.writable import Writable
 
 CLOCK: Final = "clock"
 """Name under which all settings of a device's clock are set at once."""

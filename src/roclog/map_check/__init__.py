@@ -7,7 +7,9 @@ import re
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from roclog.errors import RegisterMapError
-from roclog.point_check import NAME, point_flaws
+from roclog.map_check.points import NAME, point_flaws
+from roclog.map_check.triggers import time_flaws, trigger_flaws
+from roclog.map_check.writable import writable_flaws
 from roclog.register_map import (
     MAX_BLOCK,
     MAX_READ_BITS,
@@ -23,8 +25,6 @@ from roclog.register_map import (
     camel_case,
 )
 from roclog.schema import sample_type
-from roclog.trigger_check import time_flaws, trigger_flaws
-from roclog.writable_check import writable_flaws
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
