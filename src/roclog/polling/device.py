@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Final
 
-from roclog.errors import GATEWAY_CODES, DeviceError, ExceptionAnswer, LinkDown
-from roclog.polling.facts import device_metadata, read_facts
+from roclog.errors import GATEWAY_CODES, DeviceError, LinkDown
+from roclog.polling.facts import device_metadata
 from roclog.polling.flagged_block import FlaggedBlock
-from roclog.polling.refusal import described, is_refusal
+from roclog.polling.introduction import ABSENT, Introduction
 from roclog.samples import link_entry, replaced_entry
 
 if TYPE_CHECKING:
@@ -30,15 +30,7 @@ if TYPE_CHECKING:
 _LINK_PERIOD: Final = 60 * 10**9
 _PATIENCE: Final = 3
 """Failures in a row that are not yet held against a device that has answered before."""
-_FACTS_PAUSE: Final = 60 * 10**9
-_FACTS_POSTPONED: Final = 3
 _LONGEST_PAUSE: Final = 30 * 10**9
-_ABSENT: Final = 5 * 10**9
-"""Nobody puts another device in place of one that has told who it is in less time than this. After
-as long without an answer, or when a link is opened again, the facts are read again."""
-_FACTS_FIRST: Final = 16
-"""Who comes back is asked who it is before its samples are: in all but one poll of so many, for one
-that does not tell any more."""
 
 
 class PolledDevice:
@@ -81,18 +73,10 @@ class PolledDevice:
         self._clock = clock
         self._clock_watch = clock_watch
         self._phase = phase
-        self._facts_due = True
-        self._facts_after = 0
-        self._facts_first = True
-        self._facts_read: int | None = None
-        self._facts_refused: set[str] = set()
+        self._introduction = Introduction(device, bus, tally, outbox, clock)
         self._described: Mapping[str, str] = {}
         self._heard_at: int | None = None
         self._unread_since = 0
-        self._openings = 0
-        self._facts_failures = 0
-        self._facts_postponed = 0
-        self._are_calls = device.profile.dialect.has_functions
         self._trouble = ""
         self._failures = 0
         self._has_answered = False
@@ -183,11 +167,12 @@ class PolledDevice:
     async def _poll(self, index: int, due: int) -> None:
         """One attempt; a device that does not answer costs one time-out."""
         self._tally.polls += 1
-        if not self._bus.is_open or self._bus.openings != self._openings:
-            self._want_facts()
+        introduction = self._introduction
+        introduction.watch_link()
         try:
-            if self._facts_due and self._may_read_facts():
-                await self._read_facts(due)
+            is_known = self._succession.is_known
+            if introduction.is_due and introduction.may_ask(self._failures, is_known=is_known):
+                self._meet(await introduction.ask(due))
             if not self._is_replaced or await self._hand_over():
                 await self._turn(index, due)
         except DeviceError as error:
@@ -196,7 +181,7 @@ class PolledDevice:
         self._tell_recovery()
         if self._flagged is not None and self._flagged.powered_up:
             self._flagged.powered_up = False
-            self._facts_due = self._facts_first = True
+            introduction.demand()
 
     async def _turn(self, index: int, due: int) -> None:
         """One of a poller; what failed in the end may have heard the device all the same."""
@@ -207,7 +192,7 @@ class PolledDevice:
             if self._heard() > before:
                 self._heard_at = began.monotonic
                 self._tell_unread(began.utc)
-                if not self._facts_due:  # else nobody knows yet who it was
+                if not self._introduction.is_due:  # else nobody knows yet who it was
                     self._answered_at = began.utc
 
     def _tell_unread(self, now: int) -> None:
@@ -220,46 +205,8 @@ class PolledDevice:
         own = (n for code, n in self._tally.exceptions.items() if code not in GATEWAY_CODES)
         return self._tally.answers + sum(own)
 
-    def _want_facts(self) -> None:
-        """Unless they were read just now: another device may have been put in place."""
-        if self._facts_read is None or self._now() - self._facts_read > _ABSENT:
-            self._facts_due = self._facts_first = True
-
-    def _may_read_facts(self) -> bool:
-        """Where it is known who answered before, not even a poll after a silence comes first."""
-        is_back = self._facts_first and self._silent_since is not None
-        if is_back and self._succession.is_known and not self._are_calls:
-            return self._failures % _FACTS_FIRST > 0
-        return self._now() >= self._facts_after and not self._gives_way()
-
-    def _gives_way(self) -> bool:
-        """At the start all want their facts: where others wait, they wait for a few polls."""
-        self._facts_postponed += 1
-        return self._bus.has_queue and self._facts_postponed <= _FACTS_POSTPONED
-
-    async def _read_facts(self, due: int) -> None:
-        """Identity and configuration; after a failure the next poll goes without them.
-
-        A device that answers samples but not these is asked for them once a minute; where reading
-        them is calling functions, never more often.
-        """
-        self._facts_failures += 1
-        is_late = self._facts_failures > _PATIENCE or self._are_calls
-        pause = _FACTS_PAUSE if is_late else 1.5 * self.device.poll
-        after, requests = self._facts_after, self._tally.requests
-        self._facts_after = self._now() + int(pause)
-        try:
-            found = await self._found_facts(due)
-        except LinkDown:
-            if self._tally.requests == requests:
-                self._facts_after = after  # nothing was sent, and nothing was called
-            raise
-        self._facts_due = self._facts_first = False
-        self._facts_read = self._now()
-        self._openings = self._bus.openings
-        self._facts_postponed = 0
-        self._facts_failures = 0
-        self._facts_after = self._facts_after if self._are_calls else 0
+    def _meet(self, found: dict[str, dict[str, Value | None]]) -> None:
+        """The device has told who it is and how it is set."""
         changed = self._succession.see(found)
         self.facts = found if changed else {**self.facts, **found}
         if changed:
@@ -267,29 +214,6 @@ class PolledDevice:
         elif not self._is_replaced:
             self._set_cycle()
             self._describe()
-
-    async def _found_facts(self, due: int) -> dict[str, dict[str, Value | None]]:
-        """By block; those that the device refuses are left out."""
-        found = {}
-        for block in self.device.profile.facts:
-            try:
-                found[block.name] = await read_facts(
-                    block, self.device, self._bus, self._tally, due
-                )
-            except ExceptionAnswer as refusal:
-                if not is_refusal(refusal):
-                    raise
-                await self._tell_refusal(block.name, refusal)
-            else:
-                self._facts_refused.discard(block.name)
-        return found
-
-    async def _tell_refusal(self, name: str, refusal: ExceptionAnswer) -> None:
-        if name not in self._facts_refused:
-            self._facts_refused.add(name)
-            unit, dialect = self.device.unit, self.device.profile.dialect
-            why = await described(refusal, unit, self._bus, self._tally, dialect)
-            self.outbox.event("warning", "facts", f"{name} block: {why}")
 
     def _describe(self) -> None:
         """Into the segment, and every later one; not again where nothing is new."""
@@ -349,8 +273,8 @@ class PolledDevice:
         if self._silent_since is None:
             self._silent_since = self._now()
         since = self._silent_since if self._heard_at is None else self._heard_at
-        if isinstance(error, LinkDown) or self._now() - since > _ABSENT:
-            self._want_facts()
+        if isinstance(error, LinkDown) or self._now() - since > ABSENT:
+            self._introduction.want()
         if self._failures < 2 and not isinstance(error, LinkDown):
             return
         kind = type(error).__name__
@@ -360,8 +284,7 @@ class PolledDevice:
 
     def _tell_recovery(self) -> None:
         self._has_answered = True
-        if self._facts_first and self._facts_due:
-            self._ask_once_more()
+        self._introduction.go_without()
         if self._silent_since is None:
             return
         silent = self._now() - self._silent_since
@@ -370,13 +293,6 @@ class PolledDevice:
         self._silent_since = None
         self._failures = 0
         self._trouble = ""
-
-    def _ask_once_more(self) -> None:
-        """It was read without having told who it is. If it does not soon, then once a minute."""
-        self._facts_first = False
-        self._openings = self._bus.openings
-        if not self._are_calls:
-            self._facts_failures = self._facts_after = 0
 
     def _report_link(self, now: int, *, at_last: bool = False) -> None:
         if now - self._link_since.monotonic < _LINK_PERIOD and not at_last:
