@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from roclog.errors import GATEWAY_CODES
+
 
 @dataclass(slots=True)
 class Tally:
@@ -23,6 +25,7 @@ class Tally:
     frame_errors, parity_errors, overruns, breaks: as the serial port counted them; on a shared line
     those that came while this device was asked.
     busy: from the request until the line was free again.
+    refusals: exceptions that are the device's own, and not a gateway's.
     """
 
     requests: int = 0
@@ -43,6 +46,12 @@ class Tally:
     overruns: int = 0
     breaks: int = 0
     exceptions: dict[int, int] = field(default_factory=dict)
+    refusals: int = 0
+
+    @property
+    def heard(self) -> int:
+        """How often the device itself was heard."""
+        return self.answers + self.refusals
 
     def reset(self) -> None:
         """Begin to count anew."""
@@ -50,6 +59,7 @@ class Tally:
 
     def count_exception(self, code: int) -> None:
         self.exceptions[code] = self.exceptions.get(code, 0) + 1
+        self.refusals += code not in GATEWAY_CODES
 
     def count_answer(self, round_trip: int) -> None:
         self.answers += 1

@@ -209,7 +209,7 @@ class CyclicBlocks:
         numbers, begin = range(len(self._plan)), self._first
         self._first = 0
         try:
-            for number in (*numbers[begin:], *numbers[:begin]):
+            for number in (*numbers[begin:], *numbers[:begin]) if begin else numbers:
                 try:
                     await self._fetch(self._plan[number], due)
                 except ExceptionAnswer as refusal:
@@ -244,7 +244,12 @@ class CyclicBlocks:
         if fetch.gate is not None and not await self._is_raised(fetch, fetch.gate, due):
             return
         try:
-            answer = await self._ask(fetch, due)
+            try:
+                answer = await self._bus.transact(self._unit, fetch.request, self._tally, due=due)
+            except NoAnswer:
+                if not self._may_repeat(fetch):
+                    raise
+                answer = await self._bus.transact(self._unit, fetch.request, self._tally, due=due)
         except DeviceError as error:
             if not is_refusal(error):
                 for part in fetch.parts:
@@ -260,18 +265,11 @@ class CyclicBlocks:
                 if block.maker.block.is_clock and entry is not None and answer.asked is asked:
                     self._follow_clock(entry, answer)
 
-    async def _ask(self, fetch: Fetch, due: int) -> Answer:
-        """Once; where the answer is lost once more, if the map allows it and its turn has time."""
-        may_repeat = (
-            all(self._blocks[part.block].maker.block.repeatable for part in fetch.parts)
-            and 2 * self._bus.timing.timeout <= self.period
-        )
-        try:
-            return await self._bus.transact(self._unit, fetch.request, self._tally, due=due)
-        except NoAnswer:
-            if not may_repeat:
-                raise
-        return await self._bus.transact(self._unit, fetch.request, self._tally, due=due)
+    def _may_repeat(self, fetch: Fetch) -> bool:
+        """Where the answer was lost: if the map allows it and its turn has time."""
+        blocks = (self._blocks[part.block].maker.block for part in fetch.parts)
+        has_time = 2 * self._bus.timing.timeout <= self.period
+        return has_time and all(block.repeatable for block in blocks)
 
     def _follow_clock(self, entry: Entry, answer: Answer) -> None:
         """The device's clock was read between request and answer."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Final
 
-from roclog.errors import GATEWAY_CODES, DeviceError, LinkDown
+from roclog.errors import DeviceError, LinkDown
 from roclog.polling.facts import device_metadata
 from roclog.polling.flagged_block import FlaggedBlock
 from roclog.polling.introduction import ABSENT, Introduction
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from roclog.bus.bus import Bus
     from roclog.bus.tally import Tally
-    from roclog.clock import Clock
+    from roclog.clock import Clock, Instant
     from roclog.config.settings import Device
     from roclog.decode import Value
     from roclog.outbox import Outbox
@@ -166,44 +166,43 @@ class PolledDevice:
 
     async def _poll(self, index: int, due: int) -> None:
         """One attempt; a device that does not answer costs one time-out."""
-        self._tally.polls += 1
-        introduction = self._introduction
+        introduction, tally = self._introduction, self._tally
+        tally.polls += 1
         introduction.watch_link()
+        began, heard = None, 0
         try:
-            is_known = self._succession.is_known
-            if introduction.is_due and introduction.may_ask(self._failures, is_known=is_known):
+            if introduction.is_due and introduction.may_ask(
+                self._failures, is_known=self._succession.is_known
+            ):
                 self._meet(await introduction.ask(due))
             if not self._is_replaced or await self._hand_over():
-                await self._turn(index, due)
+                began, heard = self._clock.now(), tally.heard
+                await self.pollers[index].turn(due)
         except DeviceError as error:
+            if began is not None and tally.heard > heard:
+                self._note_heard(began)
             self._tell_trouble(error)
             return
+        if began is not None and tally.heard > heard:
+            self._note_heard(began)
         self._tell_recovery()
         if self._flagged is not None and self._flagged.powered_up:
             self._flagged.powered_up = False
             introduction.demand()
 
-    async def _turn(self, index: int, due: int) -> None:
-        """One of a poller; what failed in the end may have heard the device all the same."""
-        began, before = self._clock.now(), self._heard()
-        try:
-            await self.pollers[index].turn(due)
-        finally:
-            if self._heard() > before:
-                self._heard_at = began.monotonic
-                self._tell_unread(began.utc)
-                if not self._introduction.is_due:  # else nobody knows yet who it was
-                    self._answered_at = began.utc
+    def _note_heard(self, began: Instant) -> None:
+        """A turn that failed in the end may have heard the device all the same."""
+        self._heard_at = began.monotonic
+        if self._unread_since:
+            self._tell_unread(began.utc)
+        if not self._introduction.is_due:  # else nobody knows yet who it was
+            self._answered_at = began.utc
 
     def _tell_unread(self, now: int) -> None:
         """The next device may have told who it is long before it was read."""
         since, self._unread_since = self._unread_since, 0
-        if since and now - since > self.device.poll:
+        if now - since > self.device.poll:
             self.pollers[0].outbox.add(replaced_entry(self.device.name, since, now))
-
-    def _heard(self) -> int:
-        own = (n for code, n in self._tally.exceptions.items() if code not in GATEWAY_CODES)
-        return self._tally.answers + sum(own)
 
     def _meet(self, found: dict[str, dict[str, Value | None]]) -> None:
         """The device has told who it is and how it is set."""

@@ -21,9 +21,10 @@ class Table(StrEnum):
     @property
     def has_bits(self) -> bool:
         """Whether it holds single bits, not words."""
-        return self.read_function < 3
+        return self in _BITS
 
 
+_BITS: Final = ("coils", "discrete_inputs")
 _READ_FUNCTIONS: Final = {
     "coils": 1,
     "discrete_inputs": 2,
