@@ -7,7 +7,7 @@ import logging
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from roclog.errors import StorageError
-from roclog.recording.entries import Entry, log_entry
+from roclog.recording.entries import Entry, in_order, log_entry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -202,7 +202,7 @@ async def _commit(recorder: Recorder, outboxes: Sequence[Outbox], notes: Sequenc
     failure = None
     # Who gave nothing has no part in this: it may have given something elsewhere when this is over.
     lots = {outbox: lot for outbox in outboxes if (lot := outbox.take())}
-    batch = _in_order([*lots.values(), notes])
+    batch = in_order([*lots.values(), notes])
     try:
         if lots:
             await asyncio.wrap_future(recorder.commit(batch))
@@ -217,17 +217,6 @@ async def _commit(recorder: Recorder, outboxes: Sequence[Outbox], notes: Sequenc
     for outbox in lots:
         outbox.settle(failure)
     return failure is None
-
-
-def _in_order(lots: Sequence[Sequence[Entry]]) -> list[Entry]:
-    """By time, but those of one lot in their order, even where the wall clock was set back."""
-    timed: list[tuple[int, Entry]] = []
-    for lot in lots:
-        latest = 0
-        for entry in lot:
-            latest = max(latest, entry.log_time)
-            timed.append((latest, entry))
-    return [entry for _, entry in sorted(timed, key=lambda pair: pair[0])]
 
 
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

@@ -6,7 +6,6 @@ import errno
 import json
 import os
 import shutil
-from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,11 +15,11 @@ from recording_bench import MAKER, START, Bench, ManualClock, open_bench, sample
 
 import roclog
 from roclog.errors import StorageError
-from roclog.recording.entries import log_entry
+from roclog.recording.entries import in_order, log_entry
 from roclog.recording.retention import Retention
 from roclog.recording.scan import Scan
 from roclog.recording.segment import HotSegment
-from roclog.recording.writer import Limits, _in_order, _Job
+from roclog.recording.writer import Limits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -231,8 +230,7 @@ def test_messages_that_wait_together_are_in_order_of_time(bench: Bench) -> None:
     first = sample(1, bench.clock)
     bench.clock.advance(20 * 10**9)
     second = sample(2, bench.clock)
-    jobs = [_Job((entry,), durable=True, done=Future()) for entry in (second, first)]
-    assert _in_order(jobs) == [first, second]
+    assert in_order([[second], [first]]) == [first, second]
 
 
 def test_one_devices_messages_keep_their_order_when_the_clock_is_set_back(bench: Bench) -> None:

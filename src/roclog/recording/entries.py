@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from roclog.register_map import Block
     from roclog.schema import MessageType
@@ -43,6 +43,21 @@ class Entry(NamedTuple):
     data: bytes
     carry: Mapping[str, object] | None = None
     carry_topic: str = ""
+
+
+def in_order(lots: Iterable[Sequence[Entry]]) -> list[Entry]:
+    """All messages in order of time; those of one lot never change places.
+
+    One device's messages must stay in the order of their numbers even where the wall clock was set
+    back between them: a later run takes up what the last one says.
+    """
+    timed: list[tuple[int, Entry]] = []
+    for lot in lots:
+        latest = 0
+        for entry in lot:
+            latest = max(latest, entry.log_time)
+            timed.append((latest, entry))
+    return [entry for _, entry in sorted(timed, key=lambda pair: pair[0])]
 
 
 def block_channel(device: str, profile: str, block: Block, kind: MessageType) -> ChannelInfo:

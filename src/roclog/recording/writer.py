@@ -17,6 +17,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 from roclog.errors import StorageError
+from roclog.recording.entries import in_order
 from roclog.recording.segment import HotSegment
 
 if TYPE_CHECKING:
@@ -186,7 +187,7 @@ class Writer:
 
     def _write(self, jobs: list[_Job]) -> None:
         begins = any(job.begins for job in jobs)
-        entries = _in_order(jobs)
+        entries = in_order(job.entries for job in jobs)
         segment = self._segment_for(entries, begins=begins)
         for job in jobs:
             if job.metadata is not None and not begins:
@@ -284,18 +285,3 @@ def _split(jobs: Iterable[_Job]) -> Iterator[list[_Job]]:
     """Those that may share a chunk; one that begins a segment stands alone."""
     for _, together in groupby(jobs, lambda job: id(job) if job.begins else None):
         yield list(together)
-
-
-def _in_order(jobs: list[_Job]) -> list[Entry]:
-    """The messages of all jobs in order of time; those of one job never change places.
-
-    One device's messages must stay in the order of their numbers even where the wall clock was set
-    back between them: a later run takes up what the last one says.
-    """
-    timed: list[tuple[int, Entry]] = []
-    for job in jobs:
-        latest = 0
-        for entry in job.entries:
-            latest = max(latest, entry.log_time)
-            timed.append((latest, entry))
-    return [entry for _, entry in sorted(timed, key=lambda pair: pair[0])]
