@@ -18,6 +18,7 @@ from roclog.errors import StorageError
 from roclog.recording.entries import in_order, log_entry
 from roclog.recording.retention import Retention
 from roclog.recording.scan import Scan
+from roclog.recording.sealer import Sealer
 from roclog.recording.segment import HotSegment
 from roclog.recording.writer import Limits
 
@@ -253,3 +254,21 @@ def test_retention_goes_by_number_and_leaves_foreign_files(tmp_path: Path) -> No
         path.write_bytes(bytes(1000))
     assert list(Retention(clock, None, 2000).apply(tmp_path)) == [paths[0]]
     assert foreign.exists()
+
+
+def test_a_segment_that_a_crash_left_without_a_head_is_not_in_the_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sealer sets it aside when it comes to it, which may be later."""
+    first = open_bench(tmp_path, ManualClock())
+    first.commit(1)
+    first.close()
+    headless = tmp_path / "hot" / "00000002.mcap"
+    headless.write_bytes(b"")
+    monkeypatch.setattr(Sealer, "seal", lambda *_: None)
+    second = open_bench(tmp_path, ManualClock())
+    second.commit(2)
+    names = [path.name for path in second.directory.hot_segments()]
+    second.close()
+    assert names == ["00000002.mcap", "00000003.mcap"]
+    assert headless.read_bytes() == b""

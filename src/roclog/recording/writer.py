@@ -237,8 +237,7 @@ class Writer:
         return self._segment
 
     def _open_next(self) -> HotSegment:
-        self._inheritance.number += 1
-        number = self._inheritance.number
+        number = self._inheritance.number = self._free_number()
         facts = self._segment_facts(number)
         metadata = {
             "roclog.segment": facts,
@@ -251,6 +250,16 @@ class Writer:
         self._opened_at = self._clock.now().monotonic
         self._directory.write_state_file(self._inheritance)
         return segment
+
+    def _free_number(self) -> int:
+        """The next one. What a crash has left without a head has a name, and no number that counts.
+
+        It is about to be set aside, or is only looked at, by the sealer.
+        """
+        number = self._inheritance.number + 1
+        while (self._directory.hot / f"{number:08d}.mcap").exists():
+            number += 1
+        return number
 
     def _abandon(self) -> None:
         segment, self._segment = self._segment, None

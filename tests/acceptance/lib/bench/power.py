@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from bench.judge import check_gaps, compare
 from bench.peer import Roc
+from bench.process import until
 from bench.recorder import Recorder
 from bench.recording import csv_rows, gaps
 
@@ -72,14 +73,21 @@ class Image:
             os.close(handle)
 
     def unmount(self) -> None:
+        """Until nobody has it mounted any more.
+
+        A network namespace that another test makes just then has a copy of every mount; a file
+        system that was shut down and is still held by it would be mounted again as it is, dead.
+        """
         _run("umount", str(self.root))
+        until(lambda: not _run("losetup", "-j", str(self._file)), "the release of the image", 60)
 
 
-def _run(*command: str) -> None:
+def _run(*command: str) -> str:
     program = which(command[0]) or command[0]
     done = subprocess.run([program, *command[1:]], capture_output=True, text=True, check=False)
     if done.returncode:
         raise OSError(f"{' '.join(command)}: {done.stderr.strip()}")
+    return done.stdout
 
 
 @contextmanager

@@ -138,9 +138,11 @@ def read_csv(path: Path) -> list[Row]:
 
 
 def csv_rows(directory: Path, out: Path, device: str = "roc1") -> list[Row]:
-    if not (out / f"{device}.sample.csv").exists():
-        export(directory, out)
-    return read_csv(out / f"{device}.sample.csv")
+    table = out / f"{device}.sample.csv"
+    if not table.exists():
+        said = export(directory, out)
+        assert table.exists(), f"no {table}: {said}"
+    return read_csv(table)
 
 
 def number(text: str) -> Decimal:
