@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from roclog.decode import Decoded, Value, decode, named_values, word_order_doubts
-from roclog.recording.entries import Entry
-from roclog.schema import CLEAR, GAP, LINK, ClearResult, Origin, Reason, sample_type
+from roclog.recording.entries import Entry, gap_entry
+from roclog.schema import CLEAR, LINK, ClearResult, Origin, Reason, sample_type
 from roclog.triggers import Known, judge
 from roclog.word_types import block_octets, block_words
 
@@ -161,8 +161,7 @@ class SampleMaker:
         possible: bool = False,
     ) -> Entry:
         """``after`` and ``before`` in ns UTC; ``possible``: nobody can tell if any is missing."""
-        data = GAP.pack(iter((after, before, expected, reason, possible)))
-        return Entry(f"/{self._device}/gap", now, now, 0, data)
+        return gap_entry(self._device, after, before, expected, reason, now=now, possible=possible)
 
     def clear(
         self,
@@ -194,8 +193,7 @@ class SampleMaker:
 
 def replaced_entry(device: str, since: int, now: int) -> Entry:
     """A gap, both ns UTC: what two devices at one address completed between their last reads."""
-    data = GAP.pack(iter((since, now, 0, Reason.REPLACED, True)))
-    return Entry(f"/{device}/gap", now, now, 0, data)
+    return gap_entry(device, since, now, 0, Reason.REPLACED, now=now, possible=True)
 
 
 def link_entry(device: str, since: Instant, now: Instant, tally: Tally) -> Entry:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from roclog.changes import ChangeKind
-from roclog.recording.entries import Entry
-from roclog.schema import GAP, InputChange, Origin, Reason, stamped_type
+from roclog.recording.entries import Entry, gap_entry
+from roclog.schema import InputChange, Origin, Reason, stamped_type
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -79,5 +79,4 @@ class StampedMaker:
 
     def gap(self, after: int, before: int, count: int, reason: Reason, *, possible: bool) -> Entry:
         """As SampleMaker.gap."""
-        data = GAP.pack(iter((after, before, count, reason, possible)))
-        return Entry(f"/{self._device}/gap", before, before, 0, data)
+        return gap_entry(self._device, after, before, count, reason, now=before, possible=possible)

@@ -73,5 +73,5 @@ def test_steps_of_the_wall_clock(tmp_path: Path) -> None:
         assert times == sorted(times), path
     reads = [i.values.read_at_monotonic for i in items(recorder.directory, "/roc1/sample")]
     spacing = [(b - a) / 1e9 for a, b in pairwise(reads)]
-    assert min(spacing) > 0.1  # a disk that is slow for a second makes a read late, and no step
-    assert max(spacing) < 10
+    assert min(spacing) > 1
+    assert max(spacing) < 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -39,12 +40,12 @@ class Request(Protocol):
         ...
 
 
-class SelfSized:
+class SelfSized(ABC):
     """A request whose answer says itself how long it is; its ``answer_size`` is the least."""
 
+    @abstractmethod
     def size_of(self, start: bytes) -> int:
         """Octets of the answer's PDU that begins so: as many as are known to belong to it."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

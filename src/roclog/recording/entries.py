@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
+from roclog.schema import GAP
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from roclog.register_map import Block
-    from roclog.schema import MessageType
+    from roclog.schema import MessageType, Reason
 
 LOG_TOPIC: Final = "/log"
 LOG_NAME: Final = "foxglove.Log"
@@ -140,6 +142,24 @@ def _log_class() -> type:
 _Log: Final = _log_class()
 LOG_CHANNEL: Final = ChannelInfo(LOG_TOPIC, LOG_NAME, _FILES.SerializeToString(deterministic=True))
 LEVELS: Final = {"info": 2, "warning": 3, "error": 4}
+
+
+def gap_entry(
+    device: str,
+    after: int,
+    before: int,
+    expected: int,
+    reason: Reason,
+    *,
+    now: int,
+    possible: bool,
+) -> Entry:
+    """Samples that are missing. ``after``, ``before`` and ``now`` in ns UTC.
+
+    possible: nobody can tell if any is missing.
+    """
+    data = GAP.pack(iter((after, before, expected, reason, possible)))
+    return Entry(f"/{device}/gap", now, now, 0, data)
 
 
 def log_entry(utc: int, level: str, name: str, message: str) -> Entry:
