@@ -142,7 +142,10 @@ def test_killed_right_after_the_change(pair: Callable[[], tuple[Roc, Roc, Bench]
             more(child, first, LONG)
             bench.lead_to(second)
             log = bench.recorder.directory
-            until(lambda: len([*log.rglob("*.mcap")]) > 1, "the segment of the second counter")
+            until(
+                lambda: sum(path.stat().st_size > 0 for path in log.rglob("*.mcap")) > 1,
+                "the segment of the second counter",
+            )
             child.stop(signal.SIGKILL)
         with bench.recorder.start() as child:
             more(child, second, 3)
