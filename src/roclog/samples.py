@@ -25,7 +25,8 @@ class Reading(NamedTuple):
     """One block as it was read.
 
     asked, began, read: first octet of the request, first and last octet of the answer.
-    previous: UTC ns of the end of the latest read that showed no newer state, 0 = none yet.
+    previous: UTC ns at which the latest read that shows no newer state was asked for, 0 = none yet:
+    a sample may complete while the answer without it is on the wire.
     """
 
     words: tuple[int, ...]
@@ -35,9 +36,14 @@ class Reading(NamedTuple):
     previous: int
 
     @property
+    def seen_until(self) -> int:
+        """UTC ns; what the device did later, this read does not show."""
+        return self.utc_of(self.asked)
+
+    @property
     def known_until(self) -> int:
         """UTC ns from which on this may be the second of two samples, the first one unseen."""
-        return self.previous or self.read.utc
+        return self.previous or self.seen_until
 
     def utc_of(self, instant: Instant) -> int:
         """UTC ns by the wall clock at ``read`` and the monotonic time between the two.

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from bus_fakes import START, FakeLink, VirtualClock, answer_to, make, now, run
+from bus_fakes import MS, START, UTC_OFFSET, FakeLink, VirtualClock, answer_to, make, now, run
 from wire import rtu_frame
 
 from roclog.bus.tally import Tally
@@ -308,6 +308,7 @@ class Registers:
     words: list[int] = field(default_factory=lambda: [0] * 10)
     coil: int = 0
     is_silent: bool = False
+    delay: int = 0
 
     def __post_init__(self) -> None:
         self.link.on_send = self._take
@@ -315,12 +316,11 @@ class Registers:
     def _take(self, adu: bytes) -> None:
         first, count = int.from_bytes(adu[2:4]), int.from_bytes(adu[4:6])
         if adu[1] == 1:
-            self.link.say(
-                rtu_frame(UNIT, bytes([1, 1, 0xFE | self.coil]))
-            )  # spare bits say nothing
+            spare = 0xFE  # says nothing
+            self.link.say(rtu_frame(UNIT, bytes([1, 1, spare | self.coil])), self.delay)
         elif not self.is_silent:
             data = b"".join(word.to_bytes(2) for word in self.words[first : first + count])
-            self.link.say(rtu_frame(UNIT, bytes([adu[1], len(data)]) + data))
+            self.link.say(rtu_frame(UNIT, bytes([adu[1], len(data)]) + data), self.delay)
 
 
 def triggered(trigger: Trigger, count: int = 2) -> Block:
@@ -378,6 +378,36 @@ def test_a_read_that_clears_and_is_not_answered_is_a_gap_however_short(trigger: 
         (gap,) = [GAP.unpack(e.data) for e in disk.committed if e.topic.endswith("/gap")]
         assert gap is not None
         assert (gap["reason"], gap["expected"], gap["possible"]) == (Reason.UNREAD, 0, True)
+
+    run(main())
+
+
+@pytest.mark.parametrize("trigger", [FLAG_IN_COIL, FLAG_IN_BLOCK])
+def test_a_sample_may_complete_while_the_answer_without_it_is_on_the_wire(trigger: Trigger) -> None:
+    """What is lost next completed after the last request, not only after its answer."""
+
+    async def main() -> None:
+        link, bus = make()
+        device, disk = Registers(link, words=[7, 0], delay=300 * MS), Disk()
+        blocks, group = poller(bus, disk, triggered(trigger))
+        await blocks.turn(now())
+        asked = UTC_OFFSET + link.sent[-1][0]
+        device.words[1] = device.coil = 1
+        device.is_silent = True
+        await next_second()
+        with pytest.raises(NoAnswer):
+            await blocks.turn(now())
+        device.is_silent, device.coil, device.words[1] = False, 0, 0
+        await next_second()
+        await blocks.turn(now())
+        await group.finish()
+        (gap,) = [GAP.unpack(e.data) for e in disk.committed if e.topic.endswith("/gap")]
+        assert gap is not None
+        assert (gap["from"], gap["expected"], gap["possible"]) == (asked, 0, True)
+        blocks.close()
+        assert disk.carried["/flow/a"]["read_at"] == UTC_OFFSET + link.sent[-1][0], (
+            "nor does a later run know more"
+        )
 
     run(main())
 

@@ -136,7 +136,7 @@ def test_the_straight_path() -> None:
     assert turn(bench, block) == ["read 0"]
     assert turn(bench, block) == ["read 7", "read 7", "add 7", "committed", "clear 300=0"]
     assert bench.guarded == [True]
-    assert bench.previous == [10**9 + 5 * MS]
+    assert bench.previous == [10**9], "it may complete while the answer without it is on its way"
 
 
 def test_without_a_guard_the_block_is_read_once_more() -> None:
@@ -203,8 +203,8 @@ def test_an_overtaken_sample_ends_the_interval_of_the_next() -> None:
     log = turn(bench, block)
     assert [line for line in log if line.startswith("add")] == ["add 7", "add 8"]
     first, second = bench.previous
-    assert first == 10**9 + 5 * MS
-    assert second == 10**9 + 10 * MS
+    assert first == 10**9
+    assert second == 10**9 + 5 * MS
 
 
 def test_a_failed_read_ends_the_turn() -> None:

@@ -244,6 +244,20 @@ def test_one_devices_messages_keep_their_order_when_the_clock_is_set_back(bench:
     assert bench.inheritance.carry["/roc1/sample"]["seq"] == 2
 
 
+def test_a_killed_run_was_read_until_its_last_request(tmp_path: Path) -> None:
+    """Not until the end of the answer: a sample may have completed while that was on its way."""
+    clock = ManualClock()
+    bench = open_bench(tmp_path / "one", clock)
+    asked = clock.now()
+    clock.advance(300_000_000)
+    bench.writer.commit([sample(1, clock, asked)]).result(10)
+    shutil.copytree(tmp_path / "one", tmp_path / "two")
+    next_run = open_bench(tmp_path / "two", clock)
+    carried = next_run.inheritance.carry["/roc1/sample"]
+    assert (carried["seq"], carried["read_at"]) == (1, asked.utc)
+    next_run.close()
+
+
 def test_retention_goes_by_number_and_leaves_foreign_files(tmp_path: Path) -> None:
     clock = ManualClock()
     names = ("2026/01/01/20260101T000000Z-00000001", "1970/01/01/19700101T000000Z-00000002")

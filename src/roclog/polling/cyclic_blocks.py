@@ -57,6 +57,7 @@ class CyclicBlock:
         self._known = known or Known()
         self._read_until = read_until
         self._last: Instant | None = None
+        self._seen: Instant | None = None
         self._lost: int | None = None
         self._raw = raw
         self._told: Note | None = None
@@ -71,13 +72,14 @@ class CyclicBlock:
 
         asked: of its first request, where several were needed.
         """
-        last, self._last = self._last, answer.read
+        last, seen = self._last, self._seen
+        self._last, self._seen = answer.read, self._seen_by(asked, answer.read)
         words = self.maker.words(octets)
-        most = self._most(last, answer.read)
+        most = self._most(seen, answer.read)
         self._known, finding = judge(
             self.maker.block, self._known, words, self.maker.order, most=most
         )
-        self._tell_missed(finding, last, answer.read, outbox)
+        self._tell_missed(finding, last, seen, answer.read, outbox)
         if finding.note is not self._told:
             self._told = finding.note
             if finding.note is not None:
@@ -87,17 +89,18 @@ class CyclicBlock:
         if finding.origin is None:
             return None
         self._raw = octets
-        previous = last.utc if last is not None else 0
+        previous = seen.utc if seen is not None else 0
         reading = Reading(words, asked, answer.began, answer.read, previous)
-        carry = self._carry(answer.read)
+        carry = self._carry(self._seen)
         entry = self.maker.message(reading, self.seq, finding.origin, carry)
         outbox.add(entry)
         return entry
 
-    def skip(self, read: Instant, outbox: Outbox) -> None:
-        """At ``read`` a flag outside the block said that there is nothing new in it."""
-        last, self._last = self._last, read
-        self._tell_missed(Finding(), last, read, outbox)
+    def skip(self, answer: Answer, outbox: Outbox) -> None:
+        """A flag outside the block says in ``answer`` that there is nothing new in it."""
+        last, seen = self._last, self._seen
+        self._last, self._seen = answer.read, answer.asked
+        self._tell_missed(Finding(), last, seen, answer.read, outbox)
 
     def lose(self, due: int) -> None:
         """The answer to a read that was due at ``due`` (monotonic ns) never came.
@@ -109,21 +112,37 @@ class CyclicBlock:
 
     def close(self, outbox: Outbox) -> None:
         """Let the next run know until when this one has read."""
-        if self._last is not None:
-            outbox.checkpoint(self.maker.topic, self._carry(self._last))
+        if self._seen is not None:
+            outbox.checkpoint(self.maker.topic, self._carry(self._seen))
 
-    def _most(self, last: Instant | None, read: Instant) -> int | None:
+    def _seen_by(self, asked: Instant, read: Instant) -> Instant:
+        """What the device did later, this read does not show.
+
+        A sample may complete while the answer without it is on the wire. Where every read is a
+        sample, its own time is all that counts.
+        """
+        return read if self.maker.block.trigger is None else asked
+
+    def _most(self, seen: Instant | None, read: Instant) -> int | None:
         """Samples that the device can have completed since the last read; None = not known."""
-        if self._cycle is None or not (last or self._read_until):
+        if self._cycle is None or not (seen or self._read_until):
             return None
-        since = read.monotonic - last.monotonic if last else read.utc - self._read_until
+        since = read.monotonic - seen.monotonic if seen else read.utc - self._read_until
         return max(0, since) * 100 // (self._cycle * _SHORTEST_PERCENT) + 1
 
     def _tell_missed(
-        self, finding: Finding, last: Instant | None, read: Instant, outbox: Outbox
+        self,
+        finding: Finding,
+        last: Instant | None,
+        seen: Instant | None,
+        read: Instant,
+        outbox: Outbox,
     ) -> None:
-        """Before the sample. Where the device numbers its samples, it tells; else time does."""
-        since = read.utc - (read.monotonic - last.monotonic) if last is not None else 0
+        """Before the sample. Where the device numbers its samples, it tells; else time does.
+
+        last: when the read before this one had come; seen: up to when it showed the device.
+        """
+        since = read.utc - (read.monotonic - seen.monotonic) if seen is not None else 0
         counts = isinstance(self.maker.block.trigger, Counter)
         if finding.missed:
             start = since or self._read_until or read.utc
@@ -138,7 +157,8 @@ class CyclicBlock:
             outbox.add(gap)
         lost, self._lost = self._lost, None
         if last is not None:
-            unread = (read.utc - since + self._period // 2) // self._period - 1
+            apart = read.monotonic - last.monotonic
+            unread = (apart + self._period // 2) // self._period - 1
             if (unread > 0 or lost is not None) and not counts:
                 outbox.add(self._unread(since, read.utc, unread, Reason.UNREAD))
         elif self._read_until and not counts:
@@ -155,8 +175,8 @@ class CyclicBlock:
             return self.maker.gap(since, until, count, reason, until)
         return self.maker.gap(since, until, 0, reason, until, possible=True)
 
-    def _carry(self, read: Instant) -> Mapping[str, object]:
-        carry = {"epoch": self.maker.epoch.hex(), "seq": self.seq, "read_at": read.utc}
+    def _carry(self, seen: Instant) -> Mapping[str, object]:
+        carry = {"epoch": self.maker.epoch.hex(), "seq": self.seq, "read_at": seen.utc}
         return carry if self.maker.block.trigger is None else {**carry, "raw": self._raw.hex()}
 
 
@@ -284,7 +304,7 @@ class CyclicBlocks:
         if is_raised(gate, word & 1 if gate.table.has_bits else word):
             return True
         for part in fetch.parts:
-            self._blocks[part.block].skip(answer.read, self.outbox)
+            self._blocks[part.block].skip(answer, self.outbox)
         return False
 
     def close(self) -> None:

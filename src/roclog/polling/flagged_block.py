@@ -128,7 +128,7 @@ class FlaggedBlock:
         """Leave nothing unsaid at the end of a run."""
         now = self._clock.now()
         self._tell_missed(self.cadence.close(), now)
-        known_until = self.last.read.utc if self.last is not None else 0
+        known_until = self.last.seen_until if self.last is not None else 0
         candidate = self._memory.candidate
         if candidate is not None:
             raw = self._reading(candidate).raw.hex(" ")
@@ -146,7 +146,7 @@ class FlaggedBlock:
         seen = self._seen(reading)
         candidate = self._memory.candidate
         if candidate is not None and candidate.payload != seen.payload:
-            reading = reading._replace(previous=self._reading(candidate).read.utc)
+            reading = reading._replace(previous=self._reading(candidate).seen_until)
             seen = replace(seen, reading=reading)
         self._memory, verdict = judge(self._memory, seen)
         if self.cadence.cycle is not None or verdict.news:
@@ -154,7 +154,7 @@ class FlaggedBlock:
         self._record(reading, verdict)
         self.last = reading
         if not verdict.again:
-            self._quiet_at = reading.read.utc
+            self._quiet_at = reading.seen_until
         await self.outbox.flush()
         self._tell_given_up(reading.read)
         return verdict
@@ -259,7 +259,7 @@ class FlaggedBlock:
         match note:
             case Note.BASELINE:
                 self._event("info", "baseline", f"first block, flag down, not a sample: {raw}")
-                carry = self._maker.carry(self._memory, reading.read.utc)
+                carry = self._maker.carry(self._memory, reading.seen_until)
                 self.outbox.checkpoint(self._maker.topic, carry)
             case Note.POWER_UP:
                 self._tell_power_up(reading)

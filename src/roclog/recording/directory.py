@@ -263,7 +263,8 @@ def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:
         ranges = json.loads(payload_words)
         entry["payload"] = b"".join(raw[2 * a : 2 * (a + n)] for a, n in ranges).hex()
         entry["cleared"] = sample["origin"] != Origin.FLAG
-        entry["read_at"] = sample["previous_read_at"] or sample["read_at"]
+        entry["read_at"] = sample["previous_read_at"] or sample["asked_at"]
     elif "trigger" in channel.metadata:
         entry["raw"] = raw.hex()
+        entry["read_at"] = sample["asked_at"]
     carry[channel.topic] = entry

@@ -49,10 +49,10 @@ class ManualClock:
         self.monotonic += nanoseconds
 
 
-def sample(number: int, clock: ManualClock) -> Entry:
+def sample(number: int, clock: ManualClock, asked: Instant | None = None) -> Entry:
     """Sample ``number``; its first count is number / 100."""
     words = [1, 0, 0, 0, 0, 10, 0, 0, 0, number, *([0] * 17)]
-    reading = Reading(tuple(words), clock.now(), clock.now(), clock.now(), 0)
+    reading = Reading(tuple(words), asked or clock.now(), clock.now(), clock.now(), 0)
     payload = reading.raw[10:12] + reading.raw[16:52]
     seen = Seen(flag=True, payload=payload, reading=reading)
     memory = Memory(seq=number, payload=payload, cleared=False, restarted=False)
