@@ -36,14 +36,14 @@ class Extent:
 class Info:
     """The counts; what stands in the recording itself is not repeated here.
 
-    gaps: records and expected samples, by device, reason and whether it is only possible.
+    gaps: records and expected samples, by device, block, reason and whether it is only possible.
     events: by device, kind and level. clocks: the latest offset of each device's clock.
     """
 
     recording: Recording
     segments: list[tuple[Segment, Extent]] = field(default_factory=list)
     channels: dict[str, Extent] = field(default_factory=dict)
-    gaps: dict[tuple[str, str, bool], tuple[int, int]] = field(default_factory=dict)
+    gaps: dict[tuple[str, str, str, bool], tuple[int, int]] = field(default_factory=dict)
     events: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     samples: Extent = field(default_factory=Extent)
     clocks: dict[str, Offset] = field(default_factory=dict)
@@ -67,7 +67,7 @@ def _count(info: Info, record: Record) -> None:
         case Sample():
             info.samples.add(record.log_time)
         case Gap():
-            key = (record.device, record.reason, record.possible)
+            key = (record.device, record.block, record.reason, record.possible)
             records, expected = info.gaps.get(key, (0, 0))
             info.gaps[key] = (records + 1, expected + record.expected)
         case Offset():
@@ -99,12 +99,13 @@ def as_object(info: Info) -> dict[str, object]:
         "gaps": [
             {
                 "device": device,
+                "block": block,
                 "reason": reason,
                 "possible": possible,
                 "count": count,
                 "expected": expected,
             }
-            for (device, reason, possible), (count, expected) in sorted(info.gaps.items())
+            for (device, block, reason, possible), (count, expected) in sorted(info.gaps.items())
         ],
         "copies_dropped": recording.dropped,
         "conflicts": [

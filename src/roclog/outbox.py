@@ -7,7 +7,8 @@ import logging
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from roclog.errors import StorageError
-from roclog.recording.entries import Entry, in_order, log_entry
+from roclog.recording.entries import Entry, gap_entry, in_order, log_entry
+from roclog.schema import Reason
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
     from roclog.clock import Clock
 
 _MOST: Final = 1000
-"""Messages kept while the disk takes none; then the oldest samples are given up, and counted."""
+"""Messages kept while the disk takes none; then the oldest samples are given up, and counted in a
+gap for each block once the disk takes messages again."""
 _GATHER_SECONDS: Final = 0.25
 
 
@@ -46,7 +48,7 @@ class Outbox:
         self._group = group
         self._waiting: list[Entry] = []
         self._in_flight: list[Entry] = []
-        self._given_up: tuple[int, int, int] | None = None
+        self._given_up: dict[str, tuple[int, int, int]] = {}
         self._failing = False
         self.on_give_up: Callable[[Entry], None] | None = None
 
@@ -76,6 +78,9 @@ class Outbox:
         elif failure is None and self._failing:
             self._failing = False
             self.event("info", "storage", "recording again")
+        if failure is None and self._given_up:
+            self._tell_given_up()
+            self.flush_soon()
 
     def put_back(self) -> None:
         """Nobody knows whether the disk has what was taken; readers drop a second copy."""
@@ -83,16 +88,6 @@ class Outbox:
         self._in_flight = []
         while len(self._waiting) > _MOST:
             self._give_up_oldest()
-
-    def take_given_up(self) -> tuple[int, int, int] | None:
-        """First and last log_time and number of samples that were read but could not be kept.
-
-        None while the disk takes nothing, and where there are none.
-        """
-        if self._failing or self._given_up is None:
-            return None
-        taken, self._given_up = self._given_up, None
-        return taken
 
     def note(self, entry: Entry) -> None:
         """Record without waiting for the disk, behind the samples that were read before."""
@@ -118,11 +113,15 @@ class Outbox:
 
     async def flush(self) -> bool:
         """Commit what waits; False (and an event, once) when the disk does not take it."""
-        if not self._waiting:
-            return True
-        if self._group is not None:
-            return await self._group.commit(self)
-        return await _commit(self._recorder, [self], [])
+        while self._waiting:
+            before = len(self._given_up)
+            if self._group is not None:
+                done = await self._group.commit(self)
+            else:
+                done = await _commit(self._recorder, [self], [])
+            if len(self._given_up) >= before:
+                return done  # else the gap that tells of them waits now
+        return True
 
     def flush_soon(self) -> None:
         """Have what waits committed with that of other devices, within a quarter of a second."""
@@ -134,8 +133,26 @@ class Outbox:
         oldest = self._waiting.pop(next(samples, 0))
         if self.on_give_up is not None:
             self.on_give_up(oldest)
-        first, count = self._given_up[0::2] if self._given_up else (oldest.log_time, 0)
-        self._given_up = (first, oldest.log_time, count + 1)
+        block = oldest.topic.rpartition("/")[2] if oldest.carry is not None else ""
+        first, _, count = self._given_up.get(block, (oldest.log_time, 0, 0))
+        self._given_up[block] = (first, oldest.log_time, count + 1)
+
+    def _tell_given_up(self) -> None:
+        """One gap for each block; where gaps themselves were given up, what is missing is vague."""
+        now = self._clock.now().utc
+        for block, (first, last, count) in self._given_up.items():
+            gap = gap_entry(
+                self._device,
+                first,
+                last,
+                count,
+                Reason.STORAGE,
+                block=block,
+                now=now,
+                possible=not block,
+            )
+            self._waiting.append(gap)
+        self._given_up.clear()
 
 
 class CommitGroup:

@@ -38,9 +38,10 @@ _DECADES: Final = 30.0
 
 @dataclass
 class Panel:
-    """Lines that share an axis. key: (name of the quantity, unit)."""
+    """Lines of a block that share an axis. key: (name of the quantity, unit)."""
 
     device: str
+    block: str
     key: tuple[str, str]
     lines: dict[str, array[float]] = field(default_factory=dict)
     times: array[int] = field(default_factory=lambda: array("q"))
@@ -166,7 +167,9 @@ def _panels(sample: Sample, channel: Channel | None) -> list[Panel]:
         if can_be_drawn and wanted:
             match = _NUMBERED.fullmatch(name)
             key = (match[1] if match else name, unit)
-            panel = panels.setdefault(key, Panel(sample.device, key, is_fraction=is_fraction))
+            panel = panels.setdefault(
+                key, Panel(sample.device, sample.block, key, is_fraction=is_fraction)
+            )
             panel.lines[name] = array("d")
     series = [panel for panel in panels.values() if len(panel.lines) > 1]
     return series if series and not units else list(panels.values())
@@ -222,11 +225,11 @@ def _draw(panels: list[Panel], gaps: list[Gap], title: str, path: Path) -> None:
             gridspec_kw={"height_ratios": heights},
         )
         for column, axes, beside in zip(columns, grid.T, [*columns[1:], []], strict=True):
-            shaded = [gap for gap in gaps if gap.device == column[0].device]
+            explained: set[bool] = set()
             for row, (panel, axis) in enumerate(zip(column, axes, strict=False)):
-                _draw_panel(axis, panel, shaded, legend=row == 0)
+                explains = _draw_panel(axis, panel, _gaps_of(panel, gaps), explained)
                 is_repeated = row < len(beside) and beside[row].key == panel.key
-                if is_repeated and axis.get_legend() is not None:
+                if is_repeated and not explains and axis.get_legend() is not None:
                     axis.get_legend().remove()
                 if several and len(columns) == 1:
                     axis.set_title(panel.device, loc="left", fontsize=10, fontweight="bold")
@@ -249,8 +252,16 @@ def _columns(panels: list[Panel]) -> list[list[Panel]]:
     return sorted(devices.values(), key=lambda column: [_rank(panel) for panel in column])
 
 
-def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap], *, legend: bool) -> None:
-    """legend: explain the shading of gaps here."""
+def _gaps_of(panel: Panel, gaps: list[Gap]) -> list[Gap]:
+    """Of its block, and of its whole device."""
+    return [g for g in gaps if g.device == panel.device and g.block in {"", panel.block}]
+
+
+def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap], explained: set[bool]) -> bool:
+    """Whether its legend explains a shading that none of its column has explained before.
+
+    explained: the shadings that were; added to.
+    """
     import numpy as np  # noqa: PLC0415
     from matplotlib.ticker import FuncFormatter  # noqa: PLC0415
 
@@ -270,7 +281,7 @@ def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap], *, legend: bool) -> No
                 markersize=3,
                 label=_line_label(panel, name) if first == 0 else None,
             )
-    explained: set[bool] = set()
+    is_news = any(gap.possible not in explained for gap in gaps)
     for gap in gaps:
         axis.axvspan(
             np.datetime64(gap.start, "ns"),
@@ -280,7 +291,7 @@ def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap], *, legend: bool) -> No
             linewidth=0.9,
             linestyle=":" if gap.possible else "-",
             zorder=0.9,
-            label=_GAPS[gap.possible] if legend and gap.possible not in explained else None,
+            label=None if gap.possible in explained else _GAPS[gap.possible],
         )
         explained.add(gap.possible)
     if panel.is_logarithmic:
@@ -290,8 +301,9 @@ def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap], *, legend: bool) -> No
     axis.grid(visible=True, which="major", color="#e3e7ea", linewidth=0.8)
     axis.set_axisbelow(True)
     axis.spines[["top", "right"]].set_visible(False)
-    if len(panel.lines) > 1 or (gaps and legend):
+    if len(panel.lines) > 1 or is_news:
         axis.legend(loc="upper left", bbox_to_anchor=(1.005, 1), frameon=False, borderaxespad=0)
+    return is_news
 
 
 def _breaks(times: array[int], gaps: list[Gap]) -> list[tuple[int, int]]:

@@ -199,5 +199,5 @@ def _named(values: Mapping[str, object]) -> Iterator[str]:
     for name, value in values.items():
         if isinstance(value, int) and name in TIME_FIELDS:
             yield f"{name} {format_instant(value // 10**6 * 10**6)}"
-        elif not isinstance(value, bytes) and value not in (0, False):
+        elif not isinstance(value, bytes) and value not in (0, False, ""):
             yield f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"

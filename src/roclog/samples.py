@@ -167,7 +167,16 @@ class SampleMaker:
         possible: bool = False,
     ) -> Entry:
         """``after`` and ``before`` in ns UTC; ``possible``: nobody can tell if any is missing."""
-        return gap_entry(self._device, after, before, expected, reason, now=now, possible=possible)
+        return gap_entry(
+            self._device,
+            after,
+            before,
+            expected,
+            reason,
+            block=self.block.name,
+            now=now,
+            possible=possible,
+        )
 
     def clear(
         self,
@@ -199,7 +208,7 @@ class SampleMaker:
 
 def replaced_entry(device: str, since: int, now: int) -> Entry:
     """A gap, both ns UTC: what two devices at one address completed between their last reads."""
-    return gap_entry(device, since, now, 0, Reason.REPLACED, now=now, possible=True)
+    return gap_entry(device, since, now, 0, Reason.REPLACED, block="", now=now, possible=True)
 
 
 def link_entry(device: str, since: Instant, now: Instant, tally: Tally) -> Entry:

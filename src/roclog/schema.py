@@ -295,10 +295,12 @@ GAP: Final = MessageType(
         Field("expected", 3, Kind.UINT64),
         Field("reason", 4, Kind.ENUM, enum=Reason),
         Field("possible", 5, Kind.BOOL),
+        Field("block", 6, Kind.TEXT),
     ),
 )
 """``expected`` samples completed between ``from`` and ``to`` and are not in the recording; where
-``possible`` is set, it cannot be told whether that many are missing, or any."""
+``possible`` is set, it cannot be told whether that many are missing, or any. ``block`` is empty
+where the gap is the whole device's."""
 
 CLEAR: Final = MessageType(
     "roclog.Clear",

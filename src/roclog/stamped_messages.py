@@ -26,6 +26,7 @@ class StampedMaker:
         self.epoch = epoch
         self.seq = seq
         self._device = device
+        self._block = str(table)
         self._is_discrete = table.has_bits
         self._kinds = {size: stamped_type(profile, table, size) for size in (7, 4)}
         self._carry: dict[str, Any] = {"epoch": epoch.hex()}
@@ -77,6 +78,8 @@ class StampedMaker:
             "states": memory.text(),
         }
 
-    def gap(self, after: int, before: int, count: int, reason: Reason, *, possible: bool) -> Entry:
-        """As SampleMaker.gap."""
-        return gap_entry(self._device, after, before, count, reason, now=before, possible=possible)
+    def gap(self, after: int, before: int, reason: Reason) -> Entry:
+        """What changed more than once between two instants in ns UTC, if anything, is missing."""
+        return gap_entry(
+            self._device, after, before, 0, reason, block=self._block, now=before, possible=True
+        )

@@ -4,4 +4,4 @@ import sys
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
-sys.path[:0] = [str(TESTS / "bus" / "lib"), str(TESTS / "peers")]
+sys.path[:0] = [str(TESTS / "polling" / "lib"), str(TESTS / "bus" / "lib"), str(TESTS / "peers")]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from bus_fakes import MS, START, UTC_OFFSET, FakeLink, VirtualClock, answer_to, make, now, run
+from told import gaps
 from wire import rtu_frame
 
 from roclog.bus.tally import Tally
@@ -30,7 +31,7 @@ from roclog.register_map import (
 )
 from roclog.request_plan import read_request
 from roclog.samples import SampleMaker
-from roclog.schema import GAP, Origin, Reason, read_signature
+from roclog.schema import Origin, Reason, read_signature
 from roclog.triggers import Known
 
 if TYPE_CHECKING:
@@ -100,8 +101,7 @@ class Disk:
 
     def gaps(self) -> list[tuple[int, int]]:
         """(reason, expected)."""
-        found = [GAP.unpack(e.data) for e in self.committed if e.topic.endswith("/gap")]
-        return [(gap["reason"], gap["expected"]) for gap in found if gap is not None]
+        return [(gap.reason, gap.expected) for gap in gaps(self.committed)]
 
 
 def poller(
@@ -375,9 +375,8 @@ def test_a_read_that_clears_and_is_not_answered_is_a_gap_however_short(trigger: 
         await blocks.turn(now())
         await group.finish()
         assert [seq for seq, _ in disk.samples("/flow/a")] == [1]
-        (gap,) = [GAP.unpack(e.data) for e in disk.committed if e.topic.endswith("/gap")]
-        assert gap is not None
-        assert (gap["reason"], gap["expected"], gap["possible"]) == (Reason.UNREAD, 0, True)
+        (gap,) = gaps(disk.committed)
+        assert (gap.reason, gap.expected, gap.possible) == (Reason.UNREAD, 0, True)
 
     run(main())
 
@@ -401,9 +400,8 @@ def test_a_sample_may_complete_while_the_answer_without_it_is_on_the_wire(trigge
         await next_second()
         await blocks.turn(now())
         await group.finish()
-        (gap,) = [GAP.unpack(e.data) for e in disk.committed if e.topic.endswith("/gap")]
-        assert gap is not None
-        assert (gap["from"], gap["expected"], gap["possible"]) == (asked, 0, True)
+        (gap,) = gaps(disk.committed)
+        assert (gap.since, gap.expected, gap.possible) == (asked, 0, True)
         blocks.close()
         assert disk.carried["/flow/a"]["read_at"] == UTC_OFFSET + link.sent[-1][0], (
             "nor does a later run know more"
@@ -446,9 +444,8 @@ def test_the_very_first_read_that_clears_may_have_taken_a_sample_too() -> None:
         await next_second()
         await blocks.turn(now())
         await group.finish()
-        gap = GAP.unpack(disk.committed[0].data)
-        assert gap is not None
-        assert (gap["from"], gap["expected"], gap["possible"]) == (began, 0, True)
+        (gap,) = gaps(disk.committed[:1])
+        assert (gap.since, gap.expected, gap.possible) == (began, 0, True)
         assert [seq for seq, _ in disk.samples("/flow/a")] == [1]
 
     run(main())
@@ -470,9 +467,8 @@ def test_a_counter_cannot_grow_by_more_than_the_time_allows(
             await next_second()
         await group.finish()
         assert [seq for seq, _ in disk.samples("/flow/a")] == [1, 2, 3]
-        (gap,) = [GAP.unpack(e.data) for e in disk.committed if e.topic.endswith("/gap")]
-        assert gap is not None
-        assert (gap["possible"], gap["expected"]) == (bool(possible), missed)
+        (gap,) = gaps(disk.committed)
+        assert (gap.possible, gap.expected) == (bool(possible), missed)
 
     run(main())
 

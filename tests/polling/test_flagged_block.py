@@ -100,9 +100,6 @@ class Bench:
     def checkpoint(self, topic: str, carry: object) -> None:
         del topic, carry
 
-    def take_given_up(self) -> None:
-        """Nothing was."""
-
 
 def make(bench: Bench, memory: Memory, *, cycle: int | None = CYCLE) -> FlaggedBlock:
     block = FlaggedBlock(

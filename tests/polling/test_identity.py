@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 from bus_fakes import MS, UNIT, FakeLink, VirtualClock, make, now, run
+from told import gaps
 from wire import rtu_frame
 
 from roclog.config.settings import Device
@@ -30,7 +31,7 @@ from roclog.register_map import (
     WordOrder,
     WordType,
 )
-from roclog.schema import GAP, Reason, read_signature
+from roclog.schema import Reason, read_signature
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -122,9 +123,9 @@ class Disk:
         return [(s["epoch"], s["seq"]) for s in signatures if s is not None]
 
     def replaced(self) -> list[tuple[int, int]]:
-        found = [GAP.unpack(e.data) for e in self.entries if e.topic.endswith("/gap")]
-        gaps = [gap for gap in found if gap is not None and gap["reason"] == Reason.REPLACED]
-        return [(gap["from"], gap["to"]) for gap in gaps]
+        found = [gap for gap in gaps(self.entries) if gap.reason == Reason.REPLACED]
+        assert {gap.block for gap in found} <= {""}, "it is the whole device's"
+        return [(gap.since, gap.until) for gap in found]
 
     def told(self) -> list[bytes]:
         return [e.data for e in self.entries if e.topic == "/log" and b"meter1.identity" in e.data]

@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bus_fakes import VirtualClock, run
+from told import gaps
 
 from roclog.errors import StorageError
 from roclog.outbox import CommitGroup, Outbox
 from roclog.recording.entries import Entry
+from roclog.schema import Reason
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,12 +26,14 @@ class Disk:
 
     lots: list[tuple[bool, list[int]]] = field(default_factory=list)
     failing: bool = False
+    entries: list[Entry] = field(default_factory=list)
 
     def commit(self, entries: Sequence[Entry]) -> Future[None]:
         done: Future[None] = Future()
         if self.failing:
             done.set_exception(StorageError(Path("/disk"), "full"))
             return done
+        self.entries += entries
         self.lots.append((True, [entry.log_time for entry in entries]))
         done.set_result(None)
         return done
@@ -44,8 +48,8 @@ class Disk:
         raise NotImplementedError
 
 
-def entry(time: int) -> Entry:
-    return Entry("/a/b", time, time, 0, b"", {})
+def entry(time: int, topic: str = "/a/b") -> Entry:
+    return Entry(topic, time, time, 0, b"", {})
 
 
 def test_a_lot_is_in_order_of_time_whoever_it_is_from() -> None:
@@ -90,6 +94,7 @@ class SlowDisk(Disk):
     open: list[Future[None]] = field(default_factory=list)
 
     def commit(self, entries: Sequence[Entry]) -> Future[None]:
+        self.entries += entries
         self.lots.append((True, [entry.log_time for entry in entries]))
         self.open.append(Future())
         return self.open[-1]
@@ -160,6 +165,45 @@ def test_a_commit_that_fails_leaves_everybody_waiting() -> None:
         assert first[0] == 2
         assert len(first) == 3  # and what both said about it
         assert second[0] == 1
+
+    run(main())
+
+
+def test_what_the_disk_did_not_take_in_time_is_a_gap_of_each_block() -> None:
+    async def main() -> None:
+        disk = Disk(failing=True)
+        group = CommitGroup(disk)
+        outbox = Outbox("one", disk, VirtualClock(), group)
+        for time in range(700):
+            outbox.add(entry(time, "/one/even" if time % 2 == 0 else "/one/odd"))
+        assert not await outbox.flush()
+        for time in range(700, 1007):
+            outbox.add(entry(time, "/one/odd"))
+        disk.failing = False
+        assert await outbox.flush()
+        await group.finish()
+        assert outbox.empty
+        kept = [e.log_time for e in disk.entries if e.carry is not None]
+        assert kept == list(range(7, 1007))
+        assert sorted(gaps(disk.entries)) == [
+            (0, 6, 4, Reason.STORAGE, False, "even"),
+            (1, 5, 3, Reason.STORAGE, False, "odd"),
+        ]
+
+    run(main())
+
+
+def test_a_gap_that_the_disk_did_not_take_in_time_is_one_nobody_can_count() -> None:
+    async def main() -> None:
+        disk = Disk(failing=True)
+        outbox = Outbox("one", disk, VirtualClock())
+        for time in range(1001):
+            outbox.add(Entry("/one/gap", time, time, 0, b""))
+        disk.failing = False
+        assert await outbox.flush()
+        (last,) = gaps(disk.entries[1000:])
+        assert (last.since, last.until, last.reason) == (0, 0, Reason.STORAGE)
+        assert (last.possible, last.block) == (True, "")
 
     run(main())
 

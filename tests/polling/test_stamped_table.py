@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import pytest
 from bus_fakes import MS, PERMITTED, START, TCP, FakeLink, VirtualClock, now, outcome, run
 from mei_stamps import octets
+from told import gaps
 from wire import mbap_frame
 
 from roclog.bus.bus import Bus
@@ -23,7 +24,7 @@ from roclog.outbox import Outbox
 from roclog.polling.clock_watch import ClockWatch
 from roclog.polling.stamped_table import StampedTable
 from roclog.register_map import StampedInputs, Table
-from roclog.schema import CLOCK_OFFSET, GAP, InputChange, Reason, stamped_type
+from roclog.schema import CLOCK_OFFSET, InputChange, Reason, stamped_type
 from roclog.stamped_messages import StampedMaker
 from roclog.stamps import StampDecoder, parse_zone
 from roclog.time_flags import TimeFlag
@@ -91,8 +92,9 @@ class Disk:
     @property
     def gaps(self) -> list[tuple[int, int, Reason]]:
         """From, to, reason."""
-        found = [GAP.unpack(e.data) for e in self.entries if e.topic == "/rtu7/gap"]
-        return [(gap["from"], gap["to"], Reason(gap["reason"])) for gap in found if gap is not None]
+        found = gaps(self.entries)
+        assert {gap.block for gap in found} <= {"discrete_inputs", "input_registers"}
+        return [(gap.since, gap.until, gap.reason) for gap in found]
 
 
 def _done() -> Future[None]:

@@ -57,7 +57,14 @@ def test_info_tells_of_gaps_copies_conflicts_and_damage(tmp_path: Path) -> None:
     assert [c["seq"] for c in found["conflicts"]] == [2]
     assert [(m["first_seq"], m["last_seq"]) for m in found["missing"]] == [(4, 8)]
     assert found["gaps"] == [
-        {"device": "roc1", "reason": "downtime", "possible": False, "count": 1, "expected": 2}
+        {
+            "device": "roc1",
+            "block": "",
+            "reason": "downtime",
+            "possible": False,
+            "count": 1,
+            "expected": 2,
+        }
     ]
     assert [d["reason"] for d in found["damage"]] == ["not an MCAP file"]
     text = run("info", tmp_path).stdout
@@ -90,6 +97,20 @@ def test_verify_exits_with_5(tmp_path: Path, more: list[files.Item], line: str) 
     assert line in result.stdout
     found = json.loads(run("verify", tmp_path, "--json").stdout)
     assert found["good"] is False
+
+
+def test_whose_samples_are_missing(tmp_path: Path) -> None:
+    gaps = [files.gap_of_block(T0 + 9 * SECOND, T0, T0 + SECOND, name) for name in ("sample", "")]
+    files.write_sealed(tmp_path / "a.mcap", [*GOOD, *gaps], topics=files.WITH_BLOCKS)
+    lines = run("verify", tmp_path).stdout.splitlines()
+    assert [line.split(": ")[1] for line in lines if line.startswith("gap")] == [
+        "roc1/sample",
+        "roc1",
+    ]
+    found = json.loads(run("info", tmp_path, "--json").stdout)
+    assert [gap["block"] for gap in found["gaps"]] == ["", "sample"]
+    shown = run("replay", tmp_path, "--speed", "max", "--channel", "*/gap").stdout.splitlines()
+    assert [line.endswith("reason storage  block sample") for line in shown] == [True, False]
 
 
 def test_verify_checks_what_no_chunk_protects(tmp_path: Path) -> None:

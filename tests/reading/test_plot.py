@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from click.testing import CliRunner
 from mcapfiles import SECOND, T0
 
 from roclog.cli.plot import plot
-from roclog.plot import _columns, _gather, _with_gaps, plot_samples
+from roclog.plot import _columns, _gaps_of, _gather, _with_gaps, plot_samples
 from roclog.recording.reader import open_recording
 from roclog.recording.records import Channel, Sample
 
@@ -46,6 +47,19 @@ def test_panels_by_unit_and_name_iso_codes_first(tmp_path: Path) -> None:
     assert [len(panel.times) for panel in panels] == [4, 4, 4]
     assert (panels[1].is_logarithmic, panels[0].is_logarithmic) == (True, False)
     assert len(gaps) == 1
+
+
+def test_gaps_are_shaded_where_the_block_is_theirs_or_the_whole_device(tmp_path: Path) -> None:
+    names = ("sample", "other", "")
+    gaps = [files.gap_of_block(T0 + 9 * SECOND, T0, T0 + SECOND, name) for name in names]
+    path = files.write_sealed(tmp_path / "a.mcap", [*ITEMS[:4], *gaps], topics=files.WITH_BLOCKS)
+    recording = open_recording(path)
+    panels, found = _gather(recording.records(), recording.channels)
+    assert [[gap.block for gap in _gaps_of(panel, found)] for panel in panels] == [
+        ["sample", ""]
+    ] * 3
+    elsewhere = dataclasses.replace(panels[0], device="roc2")
+    assert _gaps_of(elsewhere, found) == []
 
 
 def test_samples_on_their_own(tmp_path: Path) -> None:

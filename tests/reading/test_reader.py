@@ -92,6 +92,14 @@ def test_what_stands_beside_the_samples(tmp_path: Path) -> None:
     assert kinds == ["Event", *["Sample"] * 5, "Clear", "Gap", "Link"]
 
 
+def test_gaps_of_files_that_say_whose_samples_are_missing(tmp_path: Path) -> None:
+    gaps = [files.gap_of_block(T0 + SECOND, T0, T0 + 5, block) for block in ("sample", "")]
+    path = files.write_sealed(tmp_path / "a.mcap", gaps, topics=files.WITH_BLOCKS)
+    assert [gap.block for gap in open_recording(path).gaps()] == ["sample", ""]
+    old = files.write_sealed(tmp_path / "b.mcap", CONTENT)
+    assert [gap.block for gap in open_recording(old).gaps()] == [""]
+
+
 def test_hot_and_sealed_read_the_same(tmp_path: Path) -> None:
     hot = files.write_hot(tmp_path / "hot" / "00000001.mcap", [[item] for item in CONTENT])
     sealed = files.write_sealed(tmp_path / "a.mcap", CONTENT)

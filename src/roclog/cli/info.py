@@ -106,15 +106,15 @@ def _facts(device: Device) -> dict[tuple[str, str], str]:
 def _print_problems(found: Info) -> None:
     recording = found.recording
     rows = [
-        (device, f"{reason}, perhaps" if possible else reason, str(count), str(expected))
-        for (device, reason, possible), (count, expected) in sorted(found.gaps.items())
+        (device, block, f"{reason}, perhaps" if possible else reason, str(count), str(expected))
+        for (device, block, reason, possible), (count, expected) in sorted(found.gaps.items())
     ]
-    output.print_table("gaps", ("device", "reason", "gaps", "samples"), rows, _RIGHT)
-    rows = [
+    output.print_table("gaps", ("device", "block", "reason", "gaps", "samples"), rows, _RIGHT)
+    events = [
         (device, kind, level, str(count))
         for (device, kind, level), count in sorted(found.events.items())
     ]
-    output.print_table("events", ("device", "kind", "level", "count"), rows, _RIGHT)
+    output.print_table("events", ("device", "kind", "level", "count"), events, _RIGHT)
     lines = [str(problem) for problem in recording.damage]
     lines += [
         f"samples {first} to {last} of {t} are missing" for t, _, first, last in recording.missing

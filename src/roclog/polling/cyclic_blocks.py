@@ -222,7 +222,6 @@ class CyclicBlocks:
             DeviceError: no answer, or a wrong one and no right one; what was read before is kept,
                 and the next turn begins behind it, so that it keeps no other from being read.
         """
-        self._tell_given_up()
         self._halves.clear()
         trouble: WrongAnswer | None = None
         is_fine = False
@@ -312,12 +311,6 @@ class CyclicBlocks:
             return  # what waits says itself how far it goes, once it is on disk
         for block in self._blocks:
             block.close(self.outbox)
-
-    def _tell_given_up(self) -> None:
-        lost = self.outbox.take_given_up()
-        if lost is not None:
-            first, last, count = lost
-            self.outbox.add(self._blocks[0].maker.gap(first, last, count, Reason.STORAGE, last))
 
     async def _tell_refusal(self, number: int, refusal: ExceptionAnswer) -> None:
         if number not in self._refused:

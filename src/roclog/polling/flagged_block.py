@@ -156,7 +156,6 @@ class FlaggedBlock:
         if not verdict.again:
             self._quiet_at = reading.seen_until
         await self.outbox.flush()
-        self._tell_given_up(reading.read)
         return verdict
 
     def _seen(self, reading: Reading) -> Seen:
@@ -306,12 +305,6 @@ class FlaggedBlock:
                     since, now.utc, expected, Reason.DOWNTIME, now.utc, possible=expected <= 1
                 )
             )
-
-    def _tell_given_up(self, now: Instant) -> None:
-        lost = self.outbox.take_given_up()
-        if lost is not None:
-            first, last, count = lost
-            self.outbox.add(self._maker.gap(first, last, count, Reason.STORAGE, now.utc))
 
     def _settle(self) -> int:
         cycle = self.cadence.effective_cycle

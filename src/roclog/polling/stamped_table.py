@@ -111,7 +111,6 @@ class StampedTable:
             DeviceError: no answer, or a wrong one; the inputs read before it are kept, and the next
                 turn begins behind it, so that it keeps no other from being read.
         """
-        self._tell_given_up()
         while self._unprobed:
             await self._probe(self._unprobed[0], due)
             del self._unprobed[0]
@@ -205,12 +204,6 @@ class StampedTable:
         if change is not None:
             self._memory.give_up(change)
 
-    def _tell_given_up(self) -> None:
-        lost = self.outbox.take_given_up()
-        if lost is not None:
-            first, last, count = lost
-            self.outbox.add(self._maker.gap(first, last, count, Reason.STORAGE, possible=False))
-
     def _find_blind(self, last: Answer | None, read: Instant) -> None:
         """Of what changed more than once while nobody read, only the last state is known."""
         if last is not None:
@@ -230,7 +223,7 @@ class StampedTable:
         """One gap for all lists of a turn."""
         if self._blind is not None:
             since, until, reason = self._blind
-            self.outbox.add(self._maker.gap(since, until, 0, reason, possible=True))
+            self.outbox.add(self._maker.gap(since, until, reason))
             self._blind = None
 
     def _layout(self, piece: _Piece, answer: Answer) -> tuple[Layout, bool]:

@@ -93,7 +93,8 @@ class ChannelDecoder:
                 self.damaged = True
                 problem = str(error)
         self.channel = self._facts(record, schema.name if schema is not None else "", problem)
-        self._has_possible = "possible" in self.channel.fields
+        fields = self.channel.fields
+        self._has_possible, self._has_block = "possible" in fields, "block" in fields
         points = record.metadata.get("points")
         self._points = points.split(",") if points else []
         self._decode = self._decoder()
@@ -240,6 +241,7 @@ class ChannelDecoder:
             expected=m.expected,
             reason=_name(Reason, m.reason),
             possible=self._has_possible and bool(m.possible),
+            block=str(m.block) if self._has_block else "",
         )
 
     def _clear(self, message: Message, m: Any) -> Clear:

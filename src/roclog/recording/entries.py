@@ -151,14 +151,15 @@ def gap_entry(
     expected: int,
     reason: Reason,
     *,
+    block: str,
     now: int,
     possible: bool,
 ) -> Entry:
     """Samples that are missing. ``after``, ``before`` and ``now`` in ns UTC.
 
-    possible: nobody can tell if any is missing.
+    block: empty for the whole device. possible: nobody can tell if any is missing.
     """
-    data = GAP.pack(iter((after, before, expected, reason, possible)))
+    data = GAP.pack(iter((after, before, expected, reason, possible, block)))
     return Entry(f"/{device}/gap", now, now, 0, data)
 
 

@@ -34,6 +34,7 @@ def fields_of(record: Record) -> Mapping[str, object]:
                 "expected": record.expected,
                 "reason": record.reason,
                 "possible": record.possible,
+                "block": record.block,
             }
         case Clear():
             return {

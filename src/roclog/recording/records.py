@@ -58,6 +58,7 @@ class Gap:
     """``expected`` samples completed between ``start`` and ``end`` and are not recorded.
 
     possible: it cannot be told whether that many are missing, or any.
+    block: whose samples; empty for the whole device, and in files of versions before.
     """
 
     topic: str
@@ -68,6 +69,7 @@ class Gap:
     expected: int
     reason: str
     possible: bool = False
+    block: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

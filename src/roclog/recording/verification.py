@@ -72,7 +72,8 @@ def lines(report: Report) -> Iterator[str]:
         span = f"{format_instant(gap.start)} to {format_instant(gap.end)}"
         doubt = "perhaps " if gap.possible else ""
         what = f"{doubt}{gap.expected} samples ({gap.reason})"
-        yield f"gap: {gap.device or gap.topic}: {span}, {what}"
+        place = f"{gap.device}/{gap.block}" if gap.block else gap.device or gap.topic
+        yield f"gap: {place}: {span}, {what}"
     copies = f", {report.dropped} copies left out" if report.dropped else ""
     verdict = (
         "complete and undamaged"
@@ -106,6 +107,7 @@ def as_object(report: Report) -> dict[str, object]:
             {
                 "topic": gap.topic,
                 "device": gap.device,
+                "block": gap.block,
                 "from": format_instant(gap.start),
                 "to": format_instant(gap.end),
                 "expected": gap.expected,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -76,6 +76,8 @@ def message_class(full_name: str, fields: str) -> Any:
 
 SAMPLE = message_class("roclog.test_device.Sample", f"{_SIGNATURE}, {_POINTS}")
 GAP = message_class("roclog.Gap", _GAP)
+GAP_OF_BLOCK = message_class("roclog.Gap", f"{_GAP}, possible 5 bool, block 6 string")
+"""Since it tells whose samples are missing."""
 CLEAR = message_class("roclog.Clear", _CLEAR)
 LINK = message_class("roclog.Link", _LINK)
 
@@ -119,6 +121,8 @@ TOPICS = (
     Topic("/roc1/clear", CLEAR, {"device": "roc1", "block": "clear", "clears": "/roc1/sample"}),
     Topic("/roc1/link", LINK, {"device": "roc1", "block": "link"}),
 )
+WITH_BLOCKS = (*TOPICS[:2], replace(TOPICS[2], kind=GAP_OF_BLOCK), *TOPICS[3:])
+"""Gaps say of which block they are."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,11 @@ def sample(seq: int, topic: str = "/roc1/sample", at: int | None = None, **value
 def gap(at: int, start: int, end: int, expected: int = 2, reason: int = 2) -> Item:
     data = GAP(**{"from": start, "to": end, "expected": expected, "reason": reason})
     return Item("/roc1/gap", at, data.SerializeToString(), publish_time=at)
+
+
+def gap_of_block(at: int, start: int, end: int, block: str) -> Item:
+    values = {"from": start, "to": end, "expected": 3, "reason": 3, "block": block}
+    return Item("/roc1/gap", at, GAP_OF_BLOCK(**values).SerializeToString(), publish_time=at)
 
 
 def clear(seq: int, at: int) -> Item:
