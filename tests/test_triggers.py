@@ -90,7 +90,23 @@ def test_a_counter_that_begins_again() -> None:
     found = count_up(block(Counter(point="record")), [65534, 65535, 0, 1, 65535])
     reset = Finding(Origin.FLAG, 65535, possible=True, note=Note.COUNTER_RESET)
     assert found == [COUNTED, COUNTED, COUNTED, COUNTED, reset]
-    assert count_up(block(Counter(point="record")), [65530, 3])[1].missed == 8
+    assert count_up(block(Counter(point="record")), [65530, 3])[1] == Finding(Origin.FLAG, missed=8)
+
+
+@pytest.mark.parametrize(("last", "number", "is_told_apart"), [
+    (65_000, 3064, True),  # an hour at 1 Hz, or 3064 since a reset at the very end of the numbers
+    (65_500, 3, True),
+    (65_000, 5, False),
+    (40_000, 1, False),
+])  # fmt: skip
+def test_a_counter_that_went_back_far(last: int, number: int, is_told_apart: bool) -> None:
+    """It ran over, or the device began anew; the more the first one claims, the less it is sure."""
+    _, found = count_up(block(Counter(point="record")), [last, number])
+    assert found.missed == 65_535 - last + number
+    assert found.possible is not is_told_apart
+    assert (found.note is Note.COUNTER_RESET) is not is_told_apart
+    known = count_up(block(Counter(point="record")), [last, number], most=40_000)[1]
+    assert known == Finding(Origin.FLAG, missed=found.missed), "where the time allows it"
 
 
 def test_a_counter_from_1_to_65535() -> None:
@@ -125,14 +141,15 @@ def test_whatever_a_counter_does_no_sample_is_lost_unseen(
     trigger = Counter(point="record", first=first, last=first + length)
     made = block(trigger)
     numbers = counter_range(made, trigger)
-    completed, seen, known = 0, 0, Known()
+    completed, seen, known, before = 0, 0, Known(), 0
     for step in [0, *steps]:
         completed += step % max(1, len(numbers) // 2)
         words = [numbers[completed % len(numbers)], 0, 0, 0]
+        went_back, before = words[0] < before, words[0]
         known, finding = judge(made, known, words)
         if finding.origin is not None:
             seen += 1 + finding.missed
-        assert not finding.possible
+        assert went_back or not finding.possible
         assert seen == completed + 1
     assert known.seq <= seen
 

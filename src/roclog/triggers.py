@@ -65,6 +65,9 @@ class Finding:
 
 
 _NOTHING = Finding()
+_FAR = 10
+"""A counter that went back to a small number has begun anew, or missed all up to its end. Where the
+second takes so many times as many samples, and the time says nothing, it cannot be told which."""
 
 
 def judge(
@@ -128,10 +131,13 @@ def _by_counter(
     if not step:
         return known, _NOTHING
     limit = len(numbers) // 2 if most is None else most
-    if step <= max(1, limit):
-        return after, Finding(Origin.FLAG, missed=step - 1)
-    since_reset = max(1, number - numbers.start)
-    return after, Finding(Origin.FLAG, since_reset, possible=True, note=Note.COUNTER_RESET)
+    since_reset = number - numbers.start
+    if step > max(1, limit):
+        missed = max(1, since_reset)
+        return after, Finding(Origin.FLAG, missed, possible=True, note=Note.COUNTER_RESET)
+    if most is None and number < last and step > _FAR * (since_reset + 1):
+        return after, Finding(Origin.FLAG, step - 1, possible=True, note=Note.COUNTER_RESET)
+    return after, Finding(Origin.FLAG, missed=step - 1)
 
 
 def _counter(block: Block, trigger: Counter, words: Sequence[int], order: WordOrder) -> int:

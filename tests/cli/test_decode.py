@@ -83,6 +83,7 @@ def test_table() -> None:
         (("70000",), "70000 is not -32768 to 65535"),
         (("12345678",), "is not a word"),
         (("1", "--type", "float64"), "float64 needs 4 words, not 1"),
+        (("1", "2", "3", "--type", "float32"), "2 words or a multiple of 2, not 3"),
         (("1", "--type", "float16"), "'float16' is not one of"),
         (("1",) * 126, "126 words are more than 125"),
     ],

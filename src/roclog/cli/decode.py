@@ -63,10 +63,12 @@ def decode(
     orders = tuple(WordOrder) if try_all else (WordOrder.ABCD,)
     if order is not None:
         orders = (_ALIASES.get(order) or WordOrder(order),)
+    needed = types[0].words if type_ not in (None, WordType.TEXT) else 1
+    if len(registers) % needed:  # none is left out where one type is asked for
+        multiple = f" or a multiple of {needed}" if len(registers) > needed else ""
+        what = f"{type_} needs {needed} words{multiple}, not {len(registers)}"
+        raise click.UsageError(what)
     rows = list(_rows(registers, types, orders))
-    if not rows:
-        needed = WordType(type_).words if type_ else 1
-        raise click.UsageError(f"{type_} needs {needed} words, not {len(registers)}")
     if as_json:
         click.echo(json.dumps(_as_object(registers, rows)))
     else:

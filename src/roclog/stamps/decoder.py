@@ -55,7 +55,6 @@ _NO_TIME: Final = int(TimeFlag.NO_TIME)
 _DATE_INFERRED: Final = int(TimeFlag.DATE_INFERRED)
 _DATE_UNKNOWN: Final = int(TimeFlag.DATE_UNKNOWN)
 _NONEXISTENT: Final = int(TimeFlag.TIME_NONEXISTENT)
-_HARMLESS: Final = int(TimeFlag.RES1 | TimeFlag.SU | TimeFlag.RESERVED_BITS | TimeFlag.DOW_MISMATCH)
 
 
 class Stamp(NamedTuple):
