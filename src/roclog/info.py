@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from roclog.quantities import format_instant
 from roclog.recording.records import Event, Gap, Offset, Sample
@@ -32,18 +32,27 @@ class Extent:
             self.last = log_time
 
 
+class GapKind(NamedTuple):
+    """What gaps are counted by. block: empty for the whole device."""
+
+    device: str
+    block: str
+    reason: str
+    possible: bool
+
+
 @dataclass(slots=True)
 class Info:
     """The counts; what stands in the recording itself is not repeated here.
 
-    gaps: records and expected samples, by device, block, reason and whether it is only possible.
+    gaps: records and expected samples.
     events: by device, kind and level. clocks: the latest offset of each device's clock.
     """
 
     recording: Recording
     segments: list[tuple[Segment, Extent]] = field(default_factory=list)
     channels: dict[str, Extent] = field(default_factory=dict)
-    gaps: dict[tuple[str, str, str, bool], tuple[int, int]] = field(default_factory=dict)
+    gaps: dict[GapKind, tuple[int, int]] = field(default_factory=dict)
     events: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     samples: Extent = field(default_factory=Extent)
     clocks: dict[str, Offset] = field(default_factory=dict)
@@ -67,7 +76,7 @@ def _count(info: Info, record: Record) -> None:
         case Sample():
             info.samples.add(record.log_time)
         case Gap():
-            key = (record.device, record.block, record.reason, record.possible)
+            key = GapKind(record.device, record.block, record.reason, record.possible)
             records, expected = info.gaps.get(key, (0, 0))
             info.gaps[key] = (records + 1, expected + record.expected)
         case Offset():
@@ -97,15 +106,8 @@ def as_object(info: Info) -> dict[str, object]:
             for topic, channel in sorted(recording.channels.items())
         ],
         "gaps": [
-            {
-                "device": device,
-                "block": block,
-                "reason": reason,
-                "possible": possible,
-                "count": count,
-                "expected": expected,
-            }
-            for (device, block, reason, possible), (count, expected) in sorted(info.gaps.items())
+            {**kind._asdict(), "count": count, "expected": expected}
+            for kind, (count, expected) in sorted(info.gaps.items())
         ],
         "copies_dropped": recording.dropped,
         "conflicts": [

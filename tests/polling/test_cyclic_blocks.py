@@ -18,7 +18,8 @@ from roclog.bus.tally import Tally
 from roclog.errors import ExceptionAnswer, NoAnswer, StorageError
 from roclog.outbox import CommitGroup, Outbox
 from roclog.polling.clock_watch import ClockWatch
-from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
+from roclog.polling.cyclic_block import CyclicBlock
+from roclog.polling.cyclic_blocks import CyclicBlocks
 from roclog.register_map import (
     Block,
     Change,

@@ -14,7 +14,8 @@ from roclog.changes import ChangeMemory
 from roclog.handshake import Memory, recover
 from roclog.outbox import Outbox
 from roclog.polling.clock_watch import ClockWatch
-from roclog.polling.cyclic_blocks import CyclicBlock, CyclicBlocks
+from roclog.polling.cyclic_block import CyclicBlock
+from roclog.polling.cyclic_blocks import CyclicBlocks
 from roclog.polling.device import PolledDevice
 from roclog.polling.flagged_block import FlaggedBlock
 from roclog.polling.identity import Succession, identity_topic
