@@ -224,8 +224,9 @@ def _draw(panels: list[Panel], gaps: list[Gap], title: str, path: Path) -> None:
             squeeze=False,
             gridspec_kw={"height_ratios": heights},
         )
-        for column, axes, beside in zip(columns, grid.T, [*columns[1:], []], strict=True):
-            explained: set[bool] = set()
+        explained: set[bool] = set()
+        # From the right, where a legend takes no room between columns.
+        for column, axes, beside in [*zip(columns, grid.T, [*columns[1:], []], strict=True)][::-1]:
             for row, (panel, axis) in enumerate(zip(column, axes, strict=False)):
                 explains = _draw_panel(axis, panel, _gaps_of(panel, gaps), explained)
                 is_repeated = row < len(beside) and beside[row].key == panel.key
@@ -258,7 +259,7 @@ def _gaps_of(panel: Panel, gaps: list[Gap]) -> list[Gap]:
 
 
 def _draw_panel(axis: Any, panel: Panel, gaps: list[Gap], explained: set[bool]) -> bool:
-    """Whether its legend explains a shading that none of its column has explained before.
+    """Whether its legend explains a shading that none before has explained.
 
     explained: the shadings that were; added to.
     """
@@ -328,6 +329,6 @@ def _draw_time(axis: Any, panels: list[Panel]) -> None:
     locator = make_locator(minticks=5, maxticks=10)
     axis.xaxis.set_major_locator(locator)
     axis.xaxis.set_major_formatter(make_formatter(locator))
-    axis.set_xlabel("time (UTC)")
+    axis.set_xlabel("time (UTC)", loc="left")  # the date is on the right
     if max(len(panel.times) for panel in panels) > 1:
         axis.margins(x=0.01)
