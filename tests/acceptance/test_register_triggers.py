@@ -188,7 +188,8 @@ def check_inside(judge: Judge, block: str, samples: list[int], told: list[Gap]) 
     for line in judge.truth.of("made"):
         if line["group"] == block and line["k"] in lost:
             at = line["wall_ns"]
-            assert any(gap.since <= at <= gap.to for gap in told), line
+            of_block = [gap for gap in told if gap.block == block]
+            assert any(gap.since <= at <= gap.to for gap in of_block), line
 
 
 def test_a_lost_answer_may_have_taken_a_sample(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from bench.recorder import Recorder, roclog
-from bench.recording import files, metadata
+from bench.recording import files, items, metadata
 from bench.registers import (
     COILS,
     DISCRETE,
@@ -298,13 +298,20 @@ def test_a_faulty_line_changes_no_value(tmp_path: Path) -> None:
         judge = Judge(recorder.directory, tmp_path / "csv", device)
     assert check_requests(judge.truth, blocks) == []
     assert len(set(fates)) >= 5, fates
+    links = [item.values for item in items(recorder.directory, f"/{device.name}/link")]
+    polls, skipped = sum(link.polls for link in links), sum(link.skipped for link in links)
     for block in blocks:
         found = judge.block(block)
         assert found.wrong == [], block.name
         reads = [message.values.read_at for message in found.messages]
+        told = [gap for gap in judge.gaps() if gap.block == block.name]
         for before, after in pairwise(reads):
-            told = any(gap.since <= before + MS and after - MS <= gap.to for gap in judge.gaps())
-            assert told or after - before < 0.16e9, (block.name, after - before)
+            is_told = any(gap.since <= before + MS and after - MS <= gap.to for gap in told)
+            late = 0.2e9  # by two periods: then a turn is left out
+            assert is_told or after - before < 0.1e9 + late, (block.name, after - before)
+        missing = sum(gap.expected for gap in told)
+        assert polls <= len(reads) + missing <= polls + skipped, "each turn brought one or is told"
+        assert missing > 0
         assert len(reads) > 10
 
 

@@ -218,7 +218,7 @@ def test_the_time_between_two_runs_is_a_gap_before_the_first_sample() -> None:
         assert disk.gaps() == [(Reason.DOWNTIME, 5)]
         assert disk.committed[0].topic == "/flow/gap"
         assert disk.samples("/flow/a") == [(42, "0064")]
-        blocks.close()
+        blocks.close(VirtualClock().now())
         assert disk.carried["/flow/a"]["seq"] == 42
 
     run(main())
@@ -260,8 +260,9 @@ def test_a_run_without_a_sample_leaves_what_the_trigger_compares_with() -> None:
         outbox = Outbox("flow", disk, VirtualClock(), CommitGroup(disk))
         answer = await bus.transact(UNIT, read_request(changing), Tally())
         one = CyclicBlock(maker, SECOND, maker.known(7, answer.pdu[2:]), 0, answer.pdu[2:])
-        assert one.take(answer.pdu[2:], answer, answer.asked, outbox) is None
-        one.close(outbox)
+        one.begin(now())
+        assert one.take(answer.pdu[2:], answer, answer.asked, outbox, due=now()) is None
+        one.close(now(), VirtualClock().now(), outbox)
         carried = disk.carried["/flow/a"]
         assert (carried["seq"], carried["raw"]) == (7, "0064")
 
@@ -277,10 +278,10 @@ def test_how_far_a_block_was_read_is_not_said_before_its_samples_are_on_disk() -
         disk = Disk()
         blocks, group = poller(bus, disk, block("a", 0, 1))
         await blocks.turn(now())
-        blocks.close()
+        blocks.close(VirtualClock().now())
         assert disk.carried == {}
         await group.finish()
-        blocks.close()
+        blocks.close(VirtualClock().now())
         assert disk.carried["/flow/a"]["seq"] == 1
 
     run(main())
@@ -324,7 +325,7 @@ class Registers:
             self.link.say(rtu_frame(UNIT, bytes([adu[1], len(data)]) + data), self.delay)
 
 
-def triggered(trigger: Trigger, count: int = 2) -> Block:
+def triggered(trigger: Trigger | None, count: int = 2) -> Block:
     return dataclasses.replace(block("a", 0, count), trigger=trigger)
 
 
@@ -403,7 +404,7 @@ def test_a_sample_may_complete_while_the_answer_without_it_is_on_the_wire(trigge
         await group.finish()
         (gap,) = gaps(disk.committed)
         assert (gap.since, gap.expected, gap.possible) == (asked, 0, True)
-        blocks.close()
+        blocks.close(VirtualClock().now())
         assert disk.carried["/flow/a"]["read_at"] == UTC_OFFSET + link.sent[-1][0], (
             "nor does a later run know more"
         )
@@ -518,5 +519,128 @@ def test_a_block_of_which_a_part_is_lost_is_begun_anew() -> None:
         (sample,) = disk.samples("/flow/large")
         assert sample == (1, b"".join(n.to_bytes(2) for n in range(300)).hex())
         assert len(disk.samples("/flow/z")) == 2
+
+    run(main())
+
+
+async def closed(blocks: CyclicBlocks, group: CommitGroup) -> None:
+    """The end of a run."""
+    await group.finish()
+    blocks.close(VirtualClock().now())
+    await blocks.outbox.flush()
+
+
+@pytest.mark.parametrize("trigger", [None, Change(), Counter(point="first"), FLAG_IN_COIL])
+def test_what_nobody_answered_before_the_first_read_is_told_with_it(
+    trigger: Trigger | None,
+) -> None:
+    async def main() -> None:
+        link, bus = make()
+        device, disk = Registers(link, words=[7, 1], is_silent=True, coil=1), Disk()
+        blocks, group = poller(bus, disk, triggered(trigger))
+        began = now()
+        for _ in range(3):
+            with pytest.raises(NoAnswer):
+                await blocks.turn(now())
+            await next_second()
+        device.is_silent = False
+        last = now()
+        await blocks.turn(last)
+        await closed(blocks, group)
+        (gap,) = gaps(disk.committed)
+        assert (gap.since, gap.reason, gap.block) == (UTC_OFFSET + began, Reason.UNREAD, "a")
+        turns = (last - began) // SECOND
+        assert turns >= 3
+        assert (gap.expected, gap.possible) == ((0, True) if trigger else (turns, False))
+        assert len([entry for entry in disk.committed if entry.topic == "/flow/a"]) == 1
+
+    run(main())
+
+
+@pytest.mark.parametrize("trigger", [None, Change(), Counter(point="first"), FLAG_IN_COIL])
+def test_what_nobody_answered_until_the_end_is_told_there(trigger: Trigger | None) -> None:
+    """And the next run begins where this one ended, not where it was read last."""
+
+    async def main() -> None:
+        link, bus = make()
+        device, disk = Registers(link, words=[7, 1], coil=1), Disk()
+        blocks, group = poller(bus, disk, triggered(trigger))
+        first = now()
+        await blocks.turn(first)
+        read = max(UTC_OFFSET + at for at, _ in link.sent)
+        await next_second()
+        device.is_silent = True
+        for _ in range(3):
+            with pytest.raises(NoAnswer):
+                await blocks.turn(now())
+            await next_second()
+        await asyncio.sleep(0.5)
+        end = VirtualClock().now().utc
+        await closed(blocks, group)
+        (gap,) = gaps(disk.committed)
+        turns = (end - UTC_OFFSET - first) // SECOND
+        assert turns >= 3
+        assert (gap.until, gap.reason, gap.block) == (end, Reason.UNREAD, "a")
+        assert read <= gap.since <= read + 20 * MS
+        assert (gap.expected, gap.possible) == ((0, True) if trigger else (turns, False))
+        (told,) = [e for e in disk.committed if e.topic == "/flow/gap"]
+        assert told.carry is not None
+        assert (told.carry_topic, told.carry["read_at"]) == ("/flow/a", end)
+
+    run(main())
+
+
+def test_a_block_that_is_refused_all_the_time_is_told_at_the_end() -> None:
+    async def main() -> None:
+        link, bus = make()
+        Registers(link)
+        hear = link.on_send
+        assert hear is not None
+
+        def answer(adu: bytes) -> None:
+            if adu[3] == 50:
+                link.say(rtu_frame(UNIT, b"\x83\x02"))
+            else:
+                hear(adu)
+
+        link.on_send = answer
+        disk = Disk()
+        blocks, group = poller(bus, disk, block("a", 0, 1), block("other", 50, 1))
+        for _ in range(4):
+            await blocks.turn(now())
+            await next_second()
+        await blocks.turn(now())
+        await closed(blocks, group)
+        (gap,) = gaps(disk.committed)
+        assert (gap.block, gap.expected, gap.possible) == ("other", 5, False)
+        assert disk.carried["/flow/a"]["seq"] == 5
+        assert "/flow/other" not in disk.carried, "it goes with the gap"
+
+    run(main())
+
+
+def test_a_read_that_is_late_is_none_that_is_missing() -> None:
+    """Its turn brought it; only turns that are left out for it are told, each of them once."""
+
+    async def main() -> None:
+        link, bus = make()
+        device, disk = Registers(link), Disk()
+        blocks, group = poller(bus, disk, block("a", 0, 1))
+        first = now()
+        for lateness in (0.0, 0.7, 0.0, 0.7, 0.0):
+            due = first + len(disk.samples("/flow/a")) * SECOND
+            await asyncio.sleep((due - now()) / SECOND + lateness)
+            await blocks.turn(due)
+            await group.finish()
+        assert disk.gaps() == []
+        device.delay = 400 * MS
+        late = first + 5 * SECOND
+        await asyncio.sleep((late - now()) / SECOND + 3.2)
+        await blocks.turn(late)
+        device.delay = 0
+        await blocks.turn(late + 3 * SECOND)  # as the schedule goes on
+        await group.finish()
+        assert disk.gaps() == [(Reason.UNREAD, 2)]
+        assert len(disk.samples("/flow/a")) == 7
 
     run(main())

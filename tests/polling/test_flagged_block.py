@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import pytest
+from told import gaps
 
 from roclog.bus.bus import Answer
 from roclog.bus.tally import Tally
@@ -17,7 +19,10 @@ from roclog.modbus.request import WriteRegister
 from roclog.polling.flagged_block import FlaggedBlock
 from roclog.register_map import WordOrder
 from roclog.samples import SampleMaker
-from roclog.schema import CLEAR, ClearResult, read_signature
+from roclog.schema import CLEAR, ClearResult, Reason, read_signature
+
+if TYPE_CHECKING:
+    from roclog.recording.entries import Entry
 
 MS = 10**6
 PROFILE = PROFILES["hiac-roc"]
@@ -41,6 +46,7 @@ class Bench:
     guarded: list[bool] = field(default_factory=list)
     results: list[tuple[int, int]] = field(default_factory=list)
     empty: bool = True
+    entries: list[Entry] = field(default_factory=list)
 
     def now(self) -> Instant:
         return Instant(self.time, self.time)
@@ -72,9 +78,9 @@ class Bench:
         pdu = bytes([3, 54]) + b"".join(word.to_bytes(2) for word in words)
         return Answer(pdu, asked, self.now(), self.now())
 
-    def add(self, entry: object) -> None:
-        data = getattr(entry, "data", b"")
-        sample = read_signature(data)
+    def add(self, entry: Entry) -> None:
+        self.entries.append(entry)
+        sample = read_signature(entry.data)
         if sample is not None:
             self.log.append(f"add {int.from_bytes(sample['raw'][18:20])}")
             self.previous.append(sample["previous_read_at"])
@@ -213,3 +219,68 @@ def test_a_failed_read_ends_the_turn() -> None:
     bench.transact = silent  # type: ignore[method-assign]
     with pytest.raises(NoAnswer):
         turn(bench, make(bench, KNOWN))
+
+
+def at(bench: Bench, block: FlaggedBlock, time: int, *, fails: bool = False) -> None:
+    """A turn that is due at ``time``."""
+    bench.time = max(bench.time, time)
+    if fails:
+        block.expect(time)
+    else:
+        asyncio.run(block.turn(time))
+
+
+@pytest.mark.parametrize(("cycle", "expected"), [(CYCLE, 1), (None, 0)])
+def test_what_was_not_read_before_the_first_read_may_be_missing(
+    cycle: int | None, expected: int
+) -> None:
+    bench = Bench([(0, 0, 5)])
+    block = make(bench, KNOWN, cycle=cycle)
+    start = bench.time
+    for step in range(5):
+        at(bench, block, start + step * 100 * MS, fails=True)
+    at(bench, block, start + 500 * MS)
+    (gap,) = gaps(bench.entries)
+    assert (gap.since, gap.until) == (start, start + 505 * MS)
+    assert (gap.expected, gap.possible, gap.reason) == (expected, True, Reason.UNREAD)
+    at(bench, block, start + 600 * MS)
+    assert len(gaps(bench.entries)) == 1
+
+
+def test_what_was_not_read_until_the_end_may_be_missing() -> None:
+    bench = Bench([(0, 0, 5)])
+    block = make(bench, KNOWN)
+    start = bench.time
+    at(bench, block, start)
+    for step in range(1, 10):
+        at(bench, block, start + step * 100 * MS, fails=True)
+    bench.time = start + 950 * MS
+    block.close(bench.now())
+    (gap,) = gaps(bench.entries)
+    assert (gap.since, gap.until) == (start, start + 950 * MS)
+    assert (gap.expected, gap.possible, gap.reason) == (2, True, Reason.UNREAD)
+    (told,) = bench.entries
+    assert told.carry is not None
+    assert (told.carry["seq"], told.carry["read_at"]) == (3, start + 950 * MS)
+
+
+def test_polls_that_failed_are_told_where_no_cycle_tells_what_they_missed() -> None:
+    told = []
+    for cycle in (CYCLE, None):
+        bench = Bench([(0, 0, 5)])
+        block = make(bench, KNOWN, cycle=cycle)
+        start = bench.time
+        at(bench, block, start)
+        at(bench, block, start + 100 * MS, fails=True)
+        at(bench, block, start + 200 * MS)
+        told.append([(gap.since, gap.until, gap.possible) for gap in gaps(bench.entries)])
+    assert told == [[], [(start, start + 205 * MS, True)]]
+
+
+def test_an_end_at_which_everything_was_read_leaves_no_gap() -> None:
+    bench = Bench([(0, 0, 5)])
+    block = make(bench, KNOWN)
+    at(bench, block, bench.time)
+    bench.time += 90 * MS
+    block.close(bench.now())
+    assert bench.entries == []

@@ -382,11 +382,15 @@ def test_the_next_one_may_tell_who_it_is_long_before_it_is_read() -> None:
     disk = Disk()
     steps: list[Step] = [(10, 1), (20, None), (30, 2, {"mute": {100}}), (10, 2, {"mute": ()})]
     run(record(disk, steps, settings(replace(METER, stamped=()))))
-    (_, first), (second, until) = disk.replaced()
-    assert first == second
-    assert until - second > 28 * 10**9
+    ((since, until),) = disk.replaced()
+    of_the_first, of_the_next = [gap for gap in gaps(disk.entries) if gap.reason == Reason.UNREAD]
+    assert (of_the_first.block, of_the_next.block) == ("flow", "flow")
+    assert since <= of_the_first.since < of_the_first.until <= until
+    assert 19 <= of_the_first.expected <= 20
+    assert until - 10**9 < of_the_next.since <= until
+    assert 28 <= of_the_next.expected <= 30
     (start, *_) = [e.log_time for e in disk.entries[disk.begun[0][0] :] if "flow" in e.topic]
-    assert until < start < until + 10**9
+    assert of_the_next.until == start
 
 
 def test_the_gap_begins_where_the_last_device_was_read_however_long_the_disk_takes() -> None:

@@ -310,7 +310,7 @@ def test_an_unchanged_stamp_without_a_date_stays_on_its_day() -> None:
         for _ in range(72):
             await made.turn(HOUR)
         assert made.disk.times == [(at, INFERRED)]
-        made.table.close()
+        made.table.close(made.wall.now())
         await asyncio.sleep(86_400)
         again = bench(made.wall, stamp=4, before=made.disk)
         again.device.inputs = made.device.inputs
@@ -378,7 +378,7 @@ def test_time_in_which_nobody_looked() -> None:
         ((since, until, reason),) = made.disk.gaps
         assert (reason, until) == (Reason.UNREAD, wall.now().utc)
         assert last - 10 * MS < since < last
-        made.table.close()
+        made.table.close(wall.now())
         seen = wall.now().utc
         await asyncio.sleep(3600)
         again = bench(wall, count=60, before=made.disk)
@@ -387,6 +387,35 @@ def test_time_in_which_nobody_looked() -> None:
         ((since, until, reason),) = again.disk.gaps
         assert (reason, until) == (Reason.DOWNTIME, wall.now().utc)
         assert seen - 10 * MS < since < seen
+
+    run(main())
+
+
+def test_who_is_silent_at_the_start_and_at_the_end_has_a_gap_there() -> None:
+    wall = Wall(utc("2026-11-23T12:00:00"))
+
+    async def main() -> None:
+        made = bench(wall)
+        made.state()
+        began = wall.now().utc
+        made.device.silent = True
+        for _ in range(3):
+            assert isinstance(await outcome(_answerless(made)), NoAnswer)
+        made.device.silent = False
+        await made.turn(SECOND)
+        read = wall.now().utc
+        assert made.disk.gaps == [(began + SECOND, read, Reason.UNREAD)]
+        made.device.silent = True
+        for _ in range(2):
+            assert isinstance(await outcome(_answerless(made)), NoAnswer)
+        made.table.close(wall.now())
+        await made.table.outbox.flush()
+        _, (since, until, reason) = made.disk.gaps
+        assert read - 10 * MS < since < read
+        assert (until, reason) == (wall.now().utc, Reason.UNREAD)
+        last = made.disk.entries[-1]
+        assert last.carry is not None
+        assert (last.carry["read_at"], last.carry_topic) == (until, "/rtu7/input_registers")
 
     run(main())
 

@@ -49,7 +49,8 @@ class CyclicBlock:
         self._read_until = read_until
         self._last: Instant | None = None
         self._seen: Instant | None = None
-        self._lost: int | None = None
+        self._began = self._reckoned = 0
+        self._is_lost = False
         self._raw = raw
         self._told: Note | None = None
 
@@ -58,19 +59,26 @@ class CyclicBlock:
         """Number of the last sample."""
         return self._known.seq
 
-    def take(self, octets: bytes, answer: Answer, asked: Instant, outbox: Outbox) -> Entry | None:
+    def begin(self, due: int) -> None:
+        """The first turn of a run is due at this monotonic nanosecond."""
+        self._began, self._reckoned = due, due - self._period
+
+    def take(
+        self, octets: bytes, answer: Answer, asked: Instant, outbox: Outbox, *, due: int
+    ) -> Entry | None:
         """One read, and its sample if it is one.
 
-        asked: of its first request, where several were needed.
+        asked: of its first request, where several were needed. due: when its turn was.
         """
-        last, seen = self._last, self._seen
-        self._last, self._seen = answer.read, self._seen_by(asked, answer.read)
+        seen, self._seen = self._seen, self._seen_by(asked, answer.read)
         words = self.maker.words(octets)
         most = self._most(seen, answer.read)
+        counts = self._counts
         self._known, finding = judge(
             self.maker.block, self._known, words, self.maker.order, most=most
         )
-        self._tell_missed(finding, last, seen, answer.read, outbox)
+        self._tell_missed(finding, seen, answer.read, outbox)
+        self._tell_unread(seen, due, answer.read, outbox, is_told=counts)
         if finding.note is not self._told:
             self._told = finding.note
             if finding.note is not None:
@@ -87,24 +95,31 @@ class CyclicBlock:
         outbox.add(entry)
         return entry
 
-    def skip(self, answer: Answer, outbox: Outbox) -> None:
+    def skip(self, answer: Answer, outbox: Outbox, *, due: int) -> None:
         """A flag outside the block says in ``answer`` that there is nothing new in it."""
-        last, seen = self._last, self._seen
-        self._last, self._seen = answer.read, answer.asked
-        self._tell_missed(Finding(), last, seen, answer.read, outbox)
+        seen, self._seen = self._seen, answer.asked
+        self._tell_unread(seen, due, answer.read, outbox, is_told=False)
 
-    def lose(self, due: int) -> None:
-        """The answer to a read that was due at ``due`` (monotonic ns) never came.
+    def lose(self) -> None:
+        """An answer never came; where a read lowers the flag it may have taken a sample with it."""
+        self._is_lost = isinstance(self.maker.block.trigger, ClearOnRead)
 
-        Where a read lowers the flag it may have taken a sample with it.
+    def close(self, latest: int, now: Instant, outbox: Outbox) -> None:
+        """Let the next run know until when this one has read, or told what it has not.
+
+        latest: when the last turn was due.
         """
-        if isinstance(self.maker.block.trigger, ClearOnRead) and self._lost is None:
-            self._lost = due
-
-    def close(self, outbox: Outbox) -> None:
-        """Let the next run know until when this one has read."""
-        if self._seen is not None:
+        if latest - self._reckoned >= self._period or self._is_lost:
+            unread = (now.monotonic - self._reckoned) // self._period
+            gap = self._unread(self._seen, unread, now)
+            outbox.add(gap._replace(carry=self._carry(now), carry_topic=self.maker.topic))
+        elif self._seen is not None:
             outbox.checkpoint(self.maker.topic, self._carry(self._seen))
+
+    @property
+    def _counts(self) -> bool:
+        """The device numbers its samples, and the last number is known: the next one tells."""
+        return isinstance(self.maker.block.trigger, Counter) and self._known.payload is not None
 
     def _seen_by(self, asked: Instant, read: Instant) -> Instant:
         """What the device did later, this read does not show.
@@ -122,49 +137,61 @@ class CyclicBlock:
         return max(0, since) * 100 // (self._cycle * _SHORTEST_PERCENT) + 1
 
     def _tell_missed(
-        self,
-        finding: Finding,
-        last: Instant | None,
-        seen: Instant | None,
-        read: Instant,
-        outbox: Outbox,
+        self, finding: Finding, seen: Instant | None, read: Instant, outbox: Outbox
     ) -> None:
-        """Before the sample. Where the device numbers its samples, it tells; else time does.
-
-        last: when the read before this one had come; seen: up to when it showed the device.
-        """
-        since = read.utc - (read.monotonic - seen.monotonic) if seen is not None else 0
-        counts = isinstance(self.maker.block.trigger, Counter)
+        """What the number of a sample tells of those before it."""
         if finding.missed:
-            start = since or self._read_until or read.utc
+            since = self._since(seen, read) if seen is not None or self._read_until else read.utc
+            reason = Reason.OVERWRITTEN if seen is not None else Reason.DOWNTIME
             gap = self.maker.gap(
-                min(start, read.utc),
-                read.utc,
-                finding.missed,
-                Reason.OVERWRITTEN if last is not None else Reason.DOWNTIME,
-                read.utc,
-                possible=finding.possible,
+                since, read.utc, finding.missed, reason, read.utc, possible=finding.possible
             )
             outbox.add(gap)
-        lost, self._lost = self._lost, None
-        if last is not None:
-            apart = read.monotonic - last.monotonic
-            unread = (apart + self._period // 2) // self._period - 1
-            if (unread > 0 or lost is not None) and not counts:
-                outbox.add(self._unread(since, read.utc, unread, Reason.UNREAD))
-        elif self._read_until and not counts:
-            since = min(self._read_until, read.utc)
-            unread = (read.utc - since) // self._period
-            outbox.add(self._unread(since, read.utc, unread, Reason.DOWNTIME))
-        elif lost is not None:
-            since = min(read.utc - (read.monotonic - lost), read.utc)
-            outbox.add(self._unread(since, read.utc, 1, Reason.UNREAD))
 
-    def _unread(self, since: int, until: int, count: int, reason: Reason) -> Entry:
-        """Every read is a sample, or how many samples there were between two reads is not known."""
+    def _tell_unread(
+        self, seen: Instant | None, due: int, read: Instant, outbox: Outbox, *, is_told: bool
+    ) -> None:
+        """What was not read before this read. is_told: by the number of its sample, if any."""
+        unread = self._reckon(due, read)
+        is_lost, self._is_lost = self._is_lost, False
+        is_first = seen is None and self._read_until > 0
+        if (unread > 0 or is_lost or is_first) and not is_told:
+            outbox.add(self._unread(seen, unread, read))
+
+    def _reckon(self, due: int, read: Instant) -> int:
+        """Turns that brought no sample, each counted once, where every read is one.
+
+        A turn that comes late brought it all the same; but those behind it that it leaves no time
+        for are known by now. Elsewhere it matters how long nobody looked.
+        """
+        period, last, self._last = self._period, self._last, read
+        if self.maker.block.trigger is not None:
+            self._reckoned = due
+            if last is None:
+                return (read.monotonic - self._began) // period
+            return (read.monotonic - last.monotonic + period // 2) // period - 1
+        left_out = (due - self._reckoned) // period - 1
+        to_come = max(0, (read.monotonic - due) // period - 1)  # as PolledDevice leaves them out
+        self._reckoned = due + to_come * period
+        return max(0, left_out) + to_come
+
+    def _unread(self, seen: Instant | None, count: int, until: Instant) -> Entry:
+        """Every read is a sample, or how many samples there were between two reads is not known.
+
+        The first gap of a run reaches back to the last read of the run before.
+        """
+        since, reason = self._since(seen, until), Reason.UNREAD
+        if seen is None and self._read_until:
+            count, reason = (until.utc - since) // self._period, Reason.DOWNTIME
         if self.maker.block.trigger is None:
-            return self.maker.gap(since, until, count, reason, until)
-        return self.maker.gap(since, until, 0, reason, until, possible=True)
+            return self.maker.gap(since, until.utc, count, reason, until.utc)
+        return self.maker.gap(since, until.utc, 0, reason, until.utc, possible=True)
+
+    def _since(self, seen: Instant | None, until: Instant) -> int:
+        """UTC ns from which on a sample may be missing before ``until``."""
+        if seen is None and self._read_until:
+            return min(self._read_until, until.utc)
+        return until.utc - (until.monotonic - (seen.monotonic if seen else self._began))
 
     def _carry(self, seen: Instant) -> Mapping[str, object]:
         carry = {"epoch": self.maker.epoch.hex(), "seq": self.seq, "read_at": seen.utc}

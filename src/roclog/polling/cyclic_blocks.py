@@ -51,6 +51,7 @@ class CyclicBlocks:
         self._dialect = dialect
         self._plan = plan_requests([block.maker.block for block in blocks], dialect)
         self._first = 0
+        self._latest: int | None = None
         self._halves: dict[int, tuple[Instant, bytes]] = {}
         self._refused: set[int] = set()
         self._wrong: Counts[int] = Counts()
@@ -58,6 +59,12 @@ class CyclicBlocks:
     @property
     def samples(self) -> int:
         return sum(block.seq for block in self._blocks)
+
+    def expect(self, due: int) -> None:
+        if self._latest is None:
+            for block in self._blocks:
+                block.begin(due)
+        self._latest = due
 
     async def turn(self, due: int) -> None:
         """Read every block once; one that the device refuses keeps no other from being read.
@@ -68,6 +75,7 @@ class CyclicBlocks:
             DeviceError: no answer, or a wrong one and no right one; what was read before is kept,
                 and the next turn begins behind it, so that it keeps no other from being read.
         """
+        self.expect(due)
         self._halves.clear()
         trouble: WrongAnswer | None = None
         is_fine = False
@@ -118,7 +126,7 @@ class CyclicBlocks:
         except DeviceError as error:
             if not is_refusal(error):
                 for part in fetch.parts:
-                    self._blocks[part.block].lose(due)
+                    self._blocks[part.block].lose()
             raise
         for part in fetch.parts:
             block = self._blocks[part.block]
@@ -126,7 +134,7 @@ class CyclicBlocks:
             octets += answer.pdu[part.start : part.stop]
             self._halves[part.block] = asked, octets
             if len(octets) == block.maker.size:
-                entry = block.take(octets, answer, asked, self.outbox)
+                entry = block.take(octets, answer, asked, self.outbox, due=due)
                 if block.maker.block.is_clock and entry is not None and answer.asked is asked:
                     self._follow_clock(entry, answer)
 
@@ -149,14 +157,14 @@ class CyclicBlocks:
         if is_raised(gate, word & 1 if gate.table.has_bits else word):
             return True
         for part in fetch.parts:
-            self._blocks[part.block].skip(answer, self.outbox)
+            self._blocks[part.block].skip(answer, self.outbox, due=due)
         return False
 
-    def close(self) -> None:
-        if not self.outbox.empty:
+    def close(self, now: Instant) -> None:
+        if not self.outbox.empty or self._latest is None:
             return  # what waits says itself how far it goes, once it is on disk
         for block in self._blocks:
-            block.close(self.outbox)
+            block.close(self._latest, now, self.outbox)
 
     async def _tell_refusal(self, number: int, refusal: ExceptionAnswer) -> None:
         if number not in self._refused:

@@ -76,7 +76,6 @@ class PolledDevice:
         self._introduction = Introduction(device, bus, tally, outbox, clock)
         self._described: Mapping[str, str] = {}
         self._heard_at: int | None = None
-        self._unread_since = 0
         self._trouble = ""
         self._failures = 0
         self._has_answered = False
@@ -121,9 +120,14 @@ class PolledDevice:
 
     def close(self) -> None:
         """The end of a run: what is still open is said."""
-        for poller in self.pollers:
-            poller.close()
+        if not self._is_replaced:  # else they were, when another device answered
+            self._close_pollers()
         self._report_link(self._now(), at_last=True)
+
+    def _close_pollers(self) -> None:
+        now = self._clock.now()
+        for poller in self.pollers:
+            poller.close(now)
 
     def _now(self) -> int:
         return self._clock.now().monotonic
@@ -179,7 +183,9 @@ class PolledDevice:
                 began, heard = self._clock.now(), tally.heard
                 await self.pollers[index].turn(due)
         except DeviceError as error:
-            if began is not None and tally.heard > heard:
+            if began is None:
+                self.pollers[index].expect(due)
+            elif tally.heard > heard:
                 self._note_heard(began)
             self._tell_trouble(error)
             return
@@ -193,16 +199,8 @@ class PolledDevice:
     def _note_heard(self, began: Instant) -> None:
         """A turn that failed in the end may have heard the device all the same."""
         self._heard_at = began.monotonic
-        if self._unread_since:
-            self._tell_unread(began.utc)
         if not self._introduction.is_due:  # else nobody knows yet who it was
             self._answered_at = began.utc
-
-    def _tell_unread(self, now: int) -> None:
-        """The next device may have told who it is long before it was read."""
-        since, self._unread_since = self._unread_since, 0
-        if now - since > self.device.poll:
-            self.pollers[0].outbox.add(replaced_entry(self.device.name, since, now))
 
     def _meet(self, found: dict[str, dict[str, Value | None]]) -> None:
         """The device has told who it is and how it is set."""
@@ -227,8 +225,7 @@ class PolledDevice:
         self.outbox.event("warning", "identity", text)
         if not self._is_replaced:
             self._is_replaced = True
-            for poller in self.pollers:
-                poller.close()
+            self._close_pollers()
 
     async def _hand_over(self) -> bool:
         """The next device begins when everything of the last one is on disk; False = not yet.
@@ -247,7 +244,6 @@ class PolledDevice:
         if not await outbox.flush():
             return False
         self._is_replaced = False
-        self._unread_since = now
         self._described = device_metadata(self.device, self.facts)
         self._succession.begin(self._described)
         self._samples_before = self.samples

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from roclog.bus.tally import Tally
     from roclog.clock import Clock, Instant
     from roclog.outbox import Outbox
+    from roclog.recording.entries import Entry
     from roclog.register_map import Block
 
 _SETTLE_MAX: Final = 250_000_000
@@ -76,7 +77,7 @@ class FlaggedBlock:
         self._acknowledge = acknowledge
         self._read_until = read_until
         self._known_until = read_until
-        self._due = 0
+        self._due = self._read_due = self._began = 0
         self._quiet_at = 0
         self._clear_after = 0
         self._refused = False
@@ -90,13 +91,18 @@ class FlaggedBlock:
         """Number of the last sample; earlier runs count."""
         return self._memory.seq
 
+    def expect(self, due: int) -> None:
+        if not self._began:
+            self._began, self._read_due = due, due - self.period
+        self._due = due
+
     async def turn(self, due: int) -> None:
         """One poll, up to the clear.
 
         Raises:
             DeviceError: a read failed; what was learnt before is kept.
         """
-        self._due = due
+        self.expect(due)
         await self._converse()
         if self.last is not None:
             self._watch.see(self.last)
@@ -124,9 +130,8 @@ class FlaggedBlock:
                     pass
             looks += 1  # the guard does not hold: read once more right before the clear
 
-    def close(self) -> None:
+    def close(self, now: Instant) -> None:
         """Leave nothing unsaid at the end of a run."""
-        now = self._clock.now()
         self._tell_missed(self.cadence.close(), now)
         known_until = self.last.seen_until if self.last is not None else 0
         candidate = self._memory.candidate
@@ -134,7 +139,11 @@ class FlaggedBlock:
             raw = self._reading(candidate).raw.hex(" ")
             self._event("warning", "unconfirmed", f"stopped before a second read of {raw}")
             known_until = self._reading(candidate).known_until
-        if self.last is not None and self.outbox.empty:
+        if self._due > self._read_due:
+            gap = self._unread(self.last, now)
+            carry = self._maker.carry(self._memory, now.utc)
+            self.outbox.add(gap._replace(carry=carry, carry_topic=self._maker.topic))
+        elif self.last is not None and self.outbox.empty:
             carry = self._maker.carry(self._memory, known_until)
             self.outbox.checkpoint(self._maker.topic, carry)
 
@@ -149,6 +158,7 @@ class FlaggedBlock:
             reading = reading._replace(previous=self._reading(candidate).seen_until)
             seen = replace(seen, reading=reading)
         self._memory, verdict = judge(self._memory, seen)
+        self._tell_unread(reading.read)
         if self.cadence.cycle is not None or verdict.news:
             self._tell_downtime(reading.read)
         self._record(reading, verdict)
@@ -305,6 +315,23 @@ class FlaggedBlock:
                     since, now.utc, expected, Reason.DOWNTIME, now.utc, possible=expected <= 1
                 )
             )
+
+    def _tell_unread(self, read: Instant) -> None:
+        """Turns that brought nothing, where neither the cadence nor an earlier run bounds them."""
+        unread, self._read_due = (self._due - self._read_due) // self.period - 1, self._due
+        is_counted = self._read_until if self.last is None else self.cadence.cycle
+        if unread > 0 and not is_counted:
+            self.outbox.add(self._unread(self.last, read))
+
+    def _unread(self, last: Reading | None, until: Instant) -> Entry:
+        """What was completed since the last read, or since the run began, is not known."""
+        seen = self._began if last is None else last.asked.monotonic
+        since, reason = until.utc - (until.monotonic - seen), Reason.UNREAD
+        if last is None and self._read_until:
+            since, reason = min(self._read_until, until.utc), Reason.DOWNTIME
+        cycle = self.cadence.cycle
+        expected = (until.utc - since) // cycle if cycle else 0
+        return self._maker.gap(since, until.utc, expected, reason, until.utc, possible=True)
 
     def _settle(self) -> int:
         cycle = self.cadence.effective_cycle

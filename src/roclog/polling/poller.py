@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
+    from roclog.clock import Instant
     from roclog.outbox import Outbox
 
 
@@ -26,6 +27,13 @@ class Poller(Protocol):
         """Messages of samples so far; earlier runs count."""
         ...
 
+    def expect(self, due: int) -> None:
+        """A turn is due at this monotonic nanosecond: what it does not bring is missed.
+
+        ``turn`` does so itself; this stands in for one that cannot even begin.
+        """
+        ...
+
     async def turn(self, due: int) -> None:
         """One poll, that was due at this monotonic nanosecond.
 
@@ -34,6 +42,6 @@ class Poller(Protocol):
         """
         ...
 
-    def close(self) -> None:
-        """The end of a run: what is still open is said."""
+    def close(self, now: Instant) -> None:
+        """The end of a run: what is still open is said, and what was not read since it last was."""
         ...

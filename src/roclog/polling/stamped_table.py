@@ -47,12 +47,13 @@ def stamp_decoder(rules: StampRules) -> StampDecoder:
 
 
 class _Piece:
-    """One request of a list, and its last answer in this run."""
+    """One request of a list, its last answer in this run, and when the turn with it was due."""
 
     def __init__(self, request: ReadStamped, layout: Layout | None) -> None:
         self.request = request
         self.layout = layout
         self.last: Answer | None = None
+        self.due = 0
 
 
 class StampedTable:
@@ -97,12 +98,19 @@ class StampedTable:
             for inputs in lists
             for request in split(inputs.mei, inputs.address, inputs.count)
         ]
-        self._first = 0
+        self._first = self._began = self._latest = 0
         outbox.on_give_up = self._forget
 
     @property
     def samples(self) -> int:
         return self._maker.seq
+
+    def expect(self, due: int) -> None:
+        if not self._latest:
+            self._began = due
+            for piece in self._pieces:
+                piece.due = due - self.period
+        self._latest = due
 
     async def turn(self, due: int) -> None:
         """Read every list once.
@@ -111,6 +119,7 @@ class StampedTable:
             DeviceError: no answer, or a wrong one; the inputs read before it are kept, and the next
                 turn begins behind it, so that it keeps no other from being read.
         """
+        self.expect(due)
         while self._unprobed:
             await self._probe(self._unprobed[0], due)
             del self._unprobed[0]
@@ -130,19 +139,28 @@ class StampedTable:
             self._tell_blind()
             await self._commit()
 
-    def close(self) -> None:
-        if any(piece.last for piece in self._pieces) and self.outbox.empty:
+    def close(self, now: Instant) -> None:
+        for piece in self._pieces:
+            if piece.due < self._latest:
+                self._find_blind(piece.last, now)
+        if self._blind is not None:
+            gap = self._maker.gap(*self._blind)
+            carry = self._maker.carry(self._memory, now.utc)
+            self.outbox.add(gap._replace(carry=carry, carry_topic=self._maker.topic))
+        elif any(piece.last for piece in self._pieces) and self.outbox.empty:
             carry = self._maker.carry(self._memory, self._seen_until())
             self.outbox.checkpoint(self._maker.topic, carry)
 
     async def _read(self, piece: _Piece, due: int) -> None:
         answer = await self._bus.transact(self._unit, piece.request, self._tally, due=due)
         self._tell_acceptance(piece.request)
+        piece.due = due
+        if self._was_blind(piece.last, answer.read):
+            self._find_blind(piece.last, answer.read)
         self._take(piece, answer)
 
     def _take(self, piece: _Piece, answer: Answer) -> None:
         last, piece.last = piece.last, answer
-        self._find_blind(last, answer.read)
         layout, ambiguous = self._layout(piece, answer)
         seen = parse(piece.request, answer.pdu, layout)
         since = None if last is None else _utc(last.asked, answer.read)
@@ -204,26 +222,29 @@ class StampedTable:
         if change is not None:
             self._memory.give_up(change)
 
-    def _find_blind(self, last: Answer | None, read: Instant) -> None:
+    def _was_blind(self, last: Answer | None, read: Instant) -> bool:
+        """Whether nobody looked for longer than a period, or in another run."""
+        if last is not None:
+            return read.monotonic - last.read.monotonic > 1.5 * self.period
+        return self._read_until > 0 or read.monotonic - self._began >= self.period
+
+    def _find_blind(self, last: Answer | None, until: Instant) -> None:
         """Of what changed more than once while nobody read, only the last state is known."""
         if last is not None:
-            if read.monotonic - last.read.monotonic <= 1.5 * self.period:
-                return
-            since, reason = _utc(last.asked, read), Reason.UNREAD
+            since, reason = _utc(last.asked, until), Reason.UNREAD
         elif self._read_until:
-            since, reason = min(self._read_until, read.utc), Reason.DOWNTIME
+            since, reason = min(self._read_until, until.utc), Reason.DOWNTIME
         else:
-            return
+            since, reason = until.utc - (until.monotonic - self._began), Reason.UNREAD
         if self._blind is not None:
             since = min(since, self._blind[0])
             reason = self._blind[2]
-        self._blind = since, read.utc, reason
+        self._blind = since, until.utc, reason
 
     def _tell_blind(self) -> None:
         """One gap for all lists of a turn."""
         if self._blind is not None:
-            since, until, reason = self._blind
-            self.outbox.add(self._maker.gap(since, until, reason))
+            self.outbox.add(self._maker.gap(*self._blind))
             self._blind = None
 
     def _layout(self, piece: _Piece, answer: Answer) -> tuple[Layout, bool]:

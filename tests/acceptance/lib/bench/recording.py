@@ -38,13 +38,17 @@ class Item:
 
 @dataclass(frozen=True)
 class Gap:
-    """UTC nanoseconds; ``expected`` samples. possible: the recorder says that it cannot tell."""
+    """UTC nanoseconds; ``expected`` samples. possible: the recorder says that it cannot tell.
+
+    block: empty for the whole device.
+    """
 
     since: int
     to: int
     expected: int
     reason: str
     possible: bool
+    block: str
 
 
 def stream(path: Path) -> Iterator[Item]:
@@ -116,7 +120,7 @@ def gaps(directory: Path, device: str) -> list[Gap]:
         m = item.values
         names = m.DESCRIPTOR.fields_by_name["reason"].enum_type.values_by_number
         reason = names[m.reason].name.lower()
-        found.append(Gap(getattr(m, "from"), m.to, m.expected, reason, m.possible))
+        found.append(Gap(getattr(m, "from"), m.to, m.expected, reason, m.possible, m.block))
     return list(dict.fromkeys(found))
 
 
