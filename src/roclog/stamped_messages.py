@@ -19,14 +19,17 @@ _CHANGES: Final = {kind: InputChange[kind.name] for kind in ChangeKind}
 
 
 class StampedMaker:
-    """Makes the messages of one table, numbered. seq: of the last one of an earlier run."""
+    """Makes the messages of one table, numbered. seq: of the last one of an earlier run.
+
+    block: the name of the table.
+    """
 
     def __init__(self, device: str, profile: str, table: Table, epoch: bytes, seq: int) -> None:
         self.topic = f"/{device}/{table}"
         self.epoch = epoch
         self.seq = seq
         self._device = device
-        self._block = str(table)
+        self.block = str(table)
         self._is_discrete = table.has_bits
         self._kinds = {size: stamped_type(profile, table, size) for size in (7, 4)}
         self._carry: dict[str, Any] = {"epoch": epoch.hex()}
@@ -81,5 +84,5 @@ class StampedMaker:
     def gap(self, after: int, before: int, reason: Reason) -> Entry:
         """What changed more than once between two instants in ns UTC, if anything, is missing."""
         return gap_entry(
-            self._device, after, before, 0, reason, block=self._block, now=before, possible=True
+            self._device, after, before, 0, reason, block=self.block, now=before, possible=True
         )

@@ -485,9 +485,11 @@ def test_a_block_that_is_never_answered_keeps_no_other_from_being_read() -> None
         disk = Disk()
         dead, large = block("dead", 50, 1), block("large", 100, 130, atomic=False)
         blocks, group = poller(bus, disk, dead, block("b", 0, 1), large)
-        for _ in range(4):
-            with pytest.raises(NoAnswer):
-                await blocks.turn(now())
+        with pytest.raises(NoAnswer):
+            await blocks.turn(now())  # nobody knows yet whether anybody is there
+        await next_second(2)
+        for _ in range(3):
+            await blocks.turn(now())
             await next_second(2)
         link.on_send = lambda adu: link.say(answer_to(adu))
         for _ in range(2):
@@ -497,7 +499,10 @@ def test_a_block_that_is_never_answered_keeps_no_other_from_being_read() -> None
         assert [len(disk.samples(f"/flow/{name}")) for name in ("dead", "b", "large")] == [2, 5, 5]
         whole = [50, 0, 100, 225]
         order = [adu[3] for _, adu in link.sent]
-        assert order == [50, *[0, 100, 225, 50] * 3, 0, 100, 225, 50, *whole]
+        assert order == [50, 0, 100, 225, 50, *whole * 4]
+        told = [e.data for e in (*disk.committed, *disk.notes) if b"flow.silent" in e.data]
+        assert [b"block dead is not answered for" in data for data in told] == [True, False]
+        assert b"block dead answered again" in told[1]
 
     run(main())
 
@@ -510,15 +515,37 @@ def test_a_block_of_which_a_part_is_lost_is_begun_anew() -> None:
         large, other = block("large", 0, 300, atomic=False), block("z", 400, 1, atomic=False)
         blocks, group = poller(bus, disk, large, other)
         for _ in range(2):
-            with pytest.raises(NoAnswer):
-                await blocks.turn(now())
+            await blocks.turn(now())
             await next_second(2)
+        assert [int.from_bytes(adu[2:4]) for _, adu in link.sent] == [0, 125, 400] * 2
         link.on_send = lambda adu: link.say(answer_to(adu))
         await blocks.turn(now())
         await group.finish()
         (sample,) = disk.samples("/flow/large")
         assert sample == (1, b"".join(n.to_bytes(2) for n in range(300)).hex())
-        assert len(disk.samples("/flow/z")) == 2
+        assert len(disk.samples("/flow/z")) == 3
+
+
+def test_a_device_that_dies_costs_two_time_outs_then_one_a_turn() -> None:
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: link.say(answer_to(adu))
+        disk = Disk()
+        blocks, group = poller(bus, disk, *(block(f"b{n}", 100 * n, 1) for n in range(5)))
+        await blocks.turn(now())
+        link.on_send = None
+        asked = []
+        for _ in range(4):
+            before = len(link.sent)
+            await next_second(5)
+            with pytest.raises(NoAnswer):
+                await blocks.turn(now())
+            asked.append([int.from_bytes(adu[2:4]) // 100 for _, adu in link.sent[before:]])
+        assert asked == [[0, 1], [2], [3], [4]]
+        await group.finish()
+        assert [e for e in disk.committed if b"silent" in e.data] == []
+
+    run(main())
 
     run(main())
 

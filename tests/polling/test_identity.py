@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import re
 from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
@@ -408,3 +409,27 @@ def test_the_gap_begins_where_the_last_device_was_read_however_long_the_disk_tak
     after = [e.log_time for e in flow if e.log_time not in before]
     assert gaps[0][0] <= max(before) < min(after) < gaps[-1][1] + 10**9
     assert len(after) > 25
+
+
+def link_events(disk: Disk) -> list[str]:
+    """What is told of the link, without how long it took."""
+    found = [e.data for e in disk.entries if e.topic == "/log" and b"meter1.link" in e.data]
+    texts = (
+        re.findall(rb"(?:[a-z_]+: )?(?:fake: no answer|answer(?:s|ed) again)", d) for d in found
+    )
+    return [text.decode() for (text,) in texts]
+
+
+def test_one_poller_that_gets_no_answer_is_told_by_name_and_once() -> None:
+    """However often the others get theirs."""
+    disk = Disk()
+    run(record(disk, [(5, 1), (20, 1, {"mute": {100}}), (5, 1, {"mute": ()})]))
+    assert link_events(disk) == ["flow: fake: no answer", "flow: answered again"]
+    (gap,) = [gap for gap in gaps(disk.entries) if gap.block == "flow"]
+    assert 18 <= gap.expected <= 21
+
+
+def test_a_silent_device_is_told_as_one() -> None:
+    disk = Disk()
+    run(record(disk, [(5, 1), (20, None), (5, 1)], settings(replace(METER, stamped=()))))
+    assert link_events(disk) == ["fake: no answer", "answers again"]

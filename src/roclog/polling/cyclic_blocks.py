@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter as Counts
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from roclog.errors import DeviceError, ExceptionAnswer, NoAnswer, WrongAnswer
+from roclog.errors import DeviceError, ExceptionAnswer, LinkDown, NoAnswer, WrongAnswer
 from roclog.modbus.dialect import STANDARD
+from roclog.polling.complaints import Complaints, Fault
 from roclog.polling.refusal import described, is_refusal
 from roclog.request_plan import flag_request, plan_requests
 from roclog.triggers import is_raised
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from roclog.recording.entries import Entry
     from roclog.register_map import ClearOnRead
     from roclog.request_plan import Fetch
+
+_MOST_NAMES: Final = 3
 
 
 class CyclicBlocks:
@@ -53,8 +55,14 @@ class CyclicBlocks:
         self._first = 0
         self._latest: int | None = None
         self._halves: dict[int, tuple[Instant, bytes]] = {}
-        self._refused: set[int] = set()
-        self._wrong: Counts[int] = Counts()
+        self._is_heard = False
+        self._complaints = Complaints(outbox, [self._names(n) for n in range(len(self._plan))])
+
+    @property
+    def name(self) -> str:
+        names = [block.maker.block.name for block in self._blocks]
+        more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+        return ", ".join(names[:_MOST_NAMES]) + more
 
     @property
     def samples(self) -> int:
@@ -67,45 +75,84 @@ class CyclicBlocks:
         self._latest = due
 
     async def turn(self, due: int) -> None:
-        """Read every block once; one that the device refuses keeps no other from being read.
+        """Read every block once; what goes wrong with one keeps no other from being read.
 
-        Nor does a function whose answer is wrong: its layout may be.
+        A device that did not answer at all in the last turn is given one attempt. One that did may
+        leave two requests unanswered in a row; the next turn begins behind them.
 
         Raises:
-            DeviceError: no answer, or a wrong one and no right one; what was read before is kept,
-                and the next turn begins behind it, so that it keeps no other from being read.
+            DeviceError: it answered nothing; or the connection was lost, and what was read before
+                is kept.
         """
         self.expect(due)
         self._halves.clear()
-        trouble: WrongAnswer | None = None
-        is_fine = False
         numbers, begin = range(len(self._plan)), self._first
         self._first = 0
+        was_heard, self._is_heard = self._is_heard, False
+        silent: dict[int, DeviceError] = {}
+        lost: set[int] = set()
+        in_a_row = 0
         try:
             for number in (*numbers[begin:], *numbers[:begin]) if begin else numbers:
-                try:
-                    await self._fetch(self._plan[number], due)
-                except ExceptionAnswer as refusal:
-                    if not is_refusal(refusal):
-                        self._first = self._behind(number)
-                        raise
-                    await self._tell_refusal(number, refusal)
-                except WrongAnswer as wrong:
-                    if not self._dialect.has_functions:
-                        self._first = self._behind(number)
-                        raise
-                    self._tell_wrong(number, wrong)
-                    trouble = wrong
-                except DeviceError:
+                fetch = self._plan[number]
+                if lost and all(part.block in lost for part in fetch.parts):
+                    continue  # the rest of a block of which a part is lost is of no use
+                error = await self._try(number, due)
+                if error is None:
+                    in_a_row = 0
+                    continue
+                lost.update(part.block for part in fetch.parts)
+                silent[number] = error
+                in_a_row += 1
+                if in_a_row > 1 or not (was_heard or self._is_heard):
                     self._first = self._behind(number)
-                    raise
-                else:
-                    self._tell_acceptance(number)
-                    is_fine = True
+                    break
         finally:
             self.outbox.flush_soon()
-        if trouble is not None and not is_fine:
-            raise trouble
+        if silent and not self._is_heard:
+            raise next(iter(silent.values()))
+        for number, error in silent.items():
+            if self._complaints.is_due(number, Fault.SILENT):
+                self._complaints.tell(number, Fault.SILENT, str(error))
+
+    async def _try(self, number: int, due: int) -> DeviceError | None:
+        """One request; returns the error where the device was not heard.
+
+        Raises:
+            LinkDown: as Bus.transact; the next turn begins behind this request.
+        """
+        try:
+            await self._fetch(self._plan[number], due)
+        except LinkDown:
+            self._first = self._behind(number)
+            raise
+        except DeviceError as error:
+            fault = self._fault(error)
+            if fault is None:
+                return error
+            self._is_heard = True
+            if self._complaints.is_due(number, fault):
+                self._complaints.tell(number, fault, await self._described(error))
+            return None
+        self._is_heard = True
+        self._complaints.end(number)
+        return None
+
+    def _fault(self, error: DeviceError) -> Fault | None:
+        """What an answer is a fault of; None where it need not be the device's.
+
+        Where registers are functions, the layout of one may be wrong; elsewhere an answer that does
+        not fit may come from another unit of the line.
+        """
+        if is_refusal(error):
+            return Fault.REFUSED
+        is_wrong = isinstance(error, WrongAnswer) and self._dialect.has_functions
+        return Fault.LAYOUT if is_wrong else None
+
+    async def _described(self, error: DeviceError) -> str:
+        if not isinstance(error, ExceptionAnswer):
+            return str(error)
+        return await described(error, self._unit, self._bus, self._tally, self._dialect)
 
     def _behind(self, number: int) -> int:
         """The next request of the plan that does not go on with a block, else the first one."""
@@ -165,27 +212,6 @@ class CyclicBlocks:
             return  # what waits says itself how far it goes, once it is on disk
         for block in self._blocks:
             block.close(self._latest, now, self.outbox)
-
-    async def _tell_refusal(self, number: int, refusal: ExceptionAnswer) -> None:
-        if number not in self._refused:
-            self._refused.add(number)
-            why = await described(refusal, self._unit, self._bus, self._tally, self._dialect)
-            text = f"{self._names(number)} refused, asked for all the same: {why}"
-            self.outbox.event("warning", "refused", text)
-
-    def _tell_wrong(self, number: int, wrong: WrongAnswer) -> None:
-        """A single one is counted only; the second in a row may be for ever."""
-        self._wrong[number] += 1
-        if self._wrong[number] == 2:
-            text = f"{self._names(number)} answers in another shape than its layout: {wrong}"
-            self.outbox.event("warning", "layout", text)
-
-    def _tell_acceptance(self, number: int) -> None:
-        if self._wrong.pop(number, 0) > 1:
-            self.outbox.event("info", "layout", f"{self._names(number)} answered in its layout")
-        if number in self._refused:
-            self._refused.discard(number)
-            self.outbox.event("info", "refused", f"{self._names(number)} answered again")
 
     def _names(self, number: int) -> str:
         blocks = [self._blocks[part.block].maker.block for part in self._plan[number].parts]

@@ -76,7 +76,8 @@ class PolledDevice:
         self._introduction = Introduction(device, bus, tally, outbox, clock)
         self._described: Mapping[str, str] = {}
         self._heard_at: int | None = None
-        self._trouble = ""
+        self._trouble = _Trouble()
+        self._troubles = [_Trouble() for _ in self.pollers]
         self._failures = 0
         self._has_answered = False
         self._silent_since: int | None = None
@@ -187,11 +188,11 @@ class PolledDevice:
                 self.pollers[index].expect(due)
             elif tally.heard > heard:
                 self._note_heard(began)
-            self._tell_trouble(error)
+            self._tell_trouble(index, error)
             return
         if began is not None and tally.heard > heard:
             self._note_heard(began)
-        self._tell_recovery()
+        self._tell_recovery(index)
         if self._flagged is not None and self._flagged.powered_up:
             self._flagged.powered_up = False
             introduction.demand()
@@ -262,32 +263,41 @@ class PolledDevice:
             cycle = int(sum(float(value) for value in seconds) * 1e9) or None
         self._flagged.cadence.cycle = cycle
 
-    def _tell_trouble(self, error: DeviceError) -> None:
-        """A single failure is counted; the second in a row, or a lost link, is an event."""
+    def _tell_trouble(self, index: int, error: DeviceError) -> None:
+        """A single failure is counted; the second in a row, or a lost link, is an event.
+
+        It is the device's, or that of one poller while the others get answers.
+        """
         self._failures += 1
         if self._silent_since is None:
             self._silent_since = self._now()
         since = self._silent_since if self._heard_at is None else self._heard_at
         if isinstance(error, LinkDown) or self._now() - since > ABSENT:
             self._introduction.want()
-        if self._failures < 2 and not isinstance(error, LinkDown):
+        own = self._troubles[index]
+        own.failures += 1
+        if own.failures < 2 and not isinstance(error, LinkDown):
             return
-        kind = type(error).__name__
-        if kind != self._trouble:
-            self._trouble = kind
-            self.outbox.event("warning", "link", str(error))
+        is_alone = any(other.failures == 0 for other in self._troubles)
+        trouble, whose = self._trouble, ""
+        if is_alone and not isinstance(error, LinkDown):
+            trouble, whose = own, f"{self.pollers[index].name}: "
+        if trouble.is_news(error):
+            self.outbox.event("warning", "link", f"{whose}{error}")
 
-    def _tell_recovery(self) -> None:
+    def _tell_recovery(self, index: int) -> None:
         self._has_answered = True
         self._introduction.go_without()
-        if self._silent_since is None:
-            return
-        silent = self._now() - self._silent_since
-        if self._trouble:
-            self.outbox.event("info", "link", f"answers again after {silent / 1e9:.1f} s")
-        self._silent_since = None
-        self._failures = 0
-        self._trouble = ""
+        if self._silent_since is not None:
+            silent = self._now() - self._silent_since
+            if self._trouble.told:
+                self.outbox.event("info", "link", f"answers again after {silent / 1e9:.1f} s")
+            self._silent_since = None
+            self._failures = 0
+            self._trouble.end()
+        if self._troubles[index].told:
+            self.outbox.event("info", "link", f"{self.pollers[index].name}: answered again")
+        self._troubles[index].end()
 
     def _report_link(self, now: int, *, at_last: bool = False) -> None:
         if now - self._link_since.monotonic < _LINK_PERIOD and not at_last:
@@ -297,6 +307,24 @@ class PolledDevice:
         self._clock_watch.report(instant)
         self._link_since = instant
         self._tally.reset()
+
+
+class _Trouble:
+    """Failures in a row, and the kinds of them that were told."""
+
+    def __init__(self) -> None:
+        self.failures = 0
+        self.told: set[type[DeviceError]] = set()
+
+    def is_news(self, error: DeviceError) -> bool:
+        """Once for each kind."""
+        known, kind = self.told.copy(), type(error)
+        self.told.add(kind)
+        return kind not in known
+
+    def end(self) -> None:
+        self.failures = 0
+        self.told.clear()
 
 
 def _wake(sleeper: asyncio.Future[None]) -> None:

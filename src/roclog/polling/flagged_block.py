@@ -87,6 +87,10 @@ class FlaggedBlock:
         self._odd_flag_told = False
 
     @property
+    def name(self) -> str:
+        return self.block.name
+
+    @property
     def samples(self) -> int:
         """Number of the last sample; earlier runs count."""
         return self._memory.seq

@@ -13,6 +13,11 @@ class Poller(Protocol):
     """A block, or several that are read together, or a list of points."""
 
     @property
+    def name(self) -> str:
+        """What it reads, for people."""
+        ...
+
+    @property
     def period(self) -> int:
         """Nanoseconds from turn to turn."""
         ...

@@ -102,6 +102,10 @@ class StampedTable:
         outbox.on_give_up = self._forget
 
     @property
+    def name(self) -> str:
+        return self._maker.block
+
+    @property
     def samples(self) -> int:
         return self._maker.seq
 
