@@ -12,6 +12,7 @@ from roclog.commanding.settings import (
     Difference,
     SettingErrors,
     Step,
+    assumed,
     describe,
     differences,
     expected,
@@ -224,6 +225,47 @@ def test_the_clock_in_utc() -> None:
     names = [text.partition(":")[0] for text in problems_of("clock=now", "clock=now")]
     assert names == ["date_year", "date_day", "time_hour", "time_minute"]
     assert "date_year: 1999 is not 2000 to 2100" in problems_of("clock=1999-01-01T00:00:00Z")
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("2026-13-01T00:00:00Z", " (month must be in 1..12)"),
+        ("2026-02-30T00:00:00", " (day is out of range for month)"),
+        ("2026-11-23T24:30:00Z", " (hour must be in 0..23)"),
+        ("yesterday", ""),
+        ("", ""),
+        ("0001-01-01T00:00:00+05:00", None),
+    ],
+)
+def test_a_clock_that_cannot_be(text: str, reason: str | None) -> None:
+    (found,) = problems_of(f"clock={text}")
+    if reason is None:
+        assert found.startswith(f"clock: {text!r} is no date and time (")
+        return
+    wanted = "write now, or an instant like 2026-11-23T06:00:00Z"
+    assert found == f"clock: {text!r} is no date and time{reason}: {wanted}"
+
+
+@pytest.mark.parametrize(
+    ("text", "is_assumed"),
+    [
+        ("clock=2027-02-03T04:05:06", True),
+        ("clock=2027-02-03 04:05:06", True),
+        ("clock=2027-02-03", True),
+        ("clock=2027-02-03T04:05:06Z", False),
+        ("clock=2027-02-03T04:05:06+05:00", False),
+        ("clock=2027-02-03T04:05:06-05:00", False),
+        ("clock=now", False),
+        ("time_hour=4", False),
+    ],
+)
+def test_a_clock_without_a_zone_is_told(text: str, *, is_assumed: bool) -> None:
+    assert parse_settings(ROC, [text], NOW)
+    found = assumed([text, "sample_period=10s"])
+    value = text.partition("=")[2]
+    wanted = f"clock: {value} names no zone, it is taken as UTC"
+    assert found == ((wanted,) if is_assumed else ())
 
 
 def test_the_address_comes_last() -> None:

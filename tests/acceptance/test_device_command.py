@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import pytest
-from bench.msx import TYPE, Msx
+from bench.msx import STATUS, TYPE, Msx
 from bench.peer import Roc
 from bench.process import Child, until
 from bench.recorder import ROCLOG, Recorder, roclog
@@ -208,9 +208,12 @@ class Asked:
         self._process.wait()
         os.close(self._master)
 
-    def answer(self, text: str) -> int:
+    def answer(self, answer: str | signal.Signals) -> int:
         """The exit code. What it says meanwhile must not stop it."""
-        os.write(self._master, text.encode())
+        if isinstance(answer, str):
+            os.write(self._master, answer.encode())
+        else:
+            self._process.send_signal(answer)
         until(lambda: self._hears() or self._process.poll() is not None, "its end")
         return self._process.wait(20)
 
@@ -222,15 +225,34 @@ class Asked:
         return self.said.count(b"[y/N]") > before
 
 
-@pytest.mark.parametrize(("answer", "code"), [("n\n", 1), ("y\n", 0)])
-def test_the_question_at_a_terminal(make: Make, answer: str, code: int) -> None:
+STOPPED: Final = "roc1: interrupted; nothing was"
+"""What who stops it at the question is told: nothing was sent, or written."""
+
+
+@pytest.mark.parametrize(
+    ("answer", "code", "told"),
+    [
+        ("n\n", 0, "roc1: nothing was sent\r\n"),
+        ("\n", 0, "roc1: nothing was sent\r\n"),
+        ("\x04", 130, STOPPED),
+        (signal.SIGINT, 130, STOPPED),
+        (signal.SIGTERM, 143, STOPPED),
+        ("y\n", 0, "1 written and read back"),
+    ],
+    ids=["no", "enter", "ctrl-d", "ctrl-c", "sigterm", "yes"],
+)
+def test_the_question_at_a_terminal(
+    make: Make, answer: str | signal.Signals, code: int, told: str
+) -> None:
     bench = make()
     with Asked("set", str(bench.config), "roc1", "sample_period=20s") as asked:
         assert bench.writes() == []
         assert b"sample_period" in asked.said
         assert b"00:20" in asked.said
         assert asked.answer(answer) == code
-    assert bench.writes() == ([] if code else [(6, 105, [20])])
+        assert told in asked.said.decode()
+        assert b"unexpected" not in asked.said
+    assert bench.writes() == ([(6, 105, [20])] if answer == "y\n" else [])
 
 
 def test_what_changed_while_the_question_stood_is_not_written_over(make: Make) -> None:
@@ -239,7 +261,7 @@ def test_what_changed_while_the_question_stood_is_not_written_over(make: Make) -
     assert bench.do("set", "sample_period=20s", "--yes").returncode == 0
     with Asked("save", str(bench.config), "roc1") as asked:
         bench.power_cycle()
-        assert asked.answer("y\n") == 4
+        assert asked.answer("y\n") == 1
     assert b"is not as it was shown any more (register 105); nothing was written" in asked.said
     assert bench.writes() == [(6, 105, [20])]
 
@@ -256,7 +278,7 @@ def test_a_unit_that_somebody_has_is_not_taken(tmp_path: Path) -> None:
             '[devices.roc1]\nprofile = "hiac-roc"\nconnection = "net"\n'
         )
         done = roclog("device", "set", config, "roc1", "node_id=17", "--yes")
-        assert done.returncode == 4
+        assert done.returncode == 1
         assert "cannot become unit 17: another device answers there; nothing was" in done.stderr
         done = roclog("device", "set", config, "roc1", "node_id=18", "--yes", "--json")
         assert done.returncode == 0, done.stderr
@@ -279,7 +301,7 @@ def test_an_unanswered_write_is_looked_into_and_not_repeated(
         assert "the device has taken the value all the same" in done.stderr
         assert [address for _, address, _ in bench.writes()] == [105, 106, 109]
     else:
-        assert done.returncode == 4
+        assert done.returncode == 1
         assert "register 106 (hold_period): " in done.stderr
         assert "not written, and not tried again" in done.stderr
         assert [address for _, address, _ in bench.writes()] == [105, 106]
@@ -292,7 +314,7 @@ def test_a_refused_write_ends_it(make: Make) -> None:
     done = bench.do(
         "set", "sample_period=20s", "hold_period=10s", "alarm_logic=1", "--save", "--yes"
     )
-    assert done.returncode == 4
+    assert done.returncode == 1
     assert "register 106 (hold_period): the device refused" in done.stderr
     assert "exception 3" in done.stderr
     assert "nothing was saved" in done.stderr
@@ -303,7 +325,7 @@ def test_a_refused_write_ends_it(make: Make) -> None:
 def test_what_does_not_read_back_is_told_and_not_saved(make: Make) -> None:
     bench = make(settings="ignore")
     done = bench.do("set", "sample_period=20s", "--save", "--yes", "--json")
-    assert done.returncode == 4
+    assert done.returncode == 1
     text = "register 105 (sample_period): wanted 00:20, found 00:10, the old value"
     assert text in done.stderr
     found = json.loads(done.stdout)
@@ -328,7 +350,7 @@ def test_power_fails_between_set_and_save(make: Make, line: str) -> None:
 def test_power_fails_before_it_could_be_saved(make: Make, line: str) -> None:
     bench = make(line, power_fails_after=2)
     done = bench.do("set", "sample_period=20s", "hold_period=10s", "--save", "--yes")
-    assert done.returncode == 4
+    assert done.returncode == 1
     assert "register 105 (sample_period): wanted 00:20, found 00:10, the old value" in done.stderr
     assert "nothing was saved" in done.stderr
     assert [address for _, address, _ in bench.writes()] == [105, 106]
@@ -337,7 +359,7 @@ def test_power_fails_before_it_could_be_saved(make: Make, line: str) -> None:
 def test_what_is_known_is_told_when_something_fails_later(make: Make) -> None:
     bench = make(settings="lose", power_fails_after=2)
     done = bench.do("set", "sample_period=20s", "hold_period=10s", "--yes")
-    assert done.returncode == 4
+    assert done.returncode == 1
     assert "register 105 (sample_period): " in done.stderr
     assert "the device has taken the value all the same" in done.stderr
     assert "register 106 (hold_period): " in done.stderr
@@ -357,16 +379,78 @@ def test_a_save_without_an_answer_is_not_known(make: Make) -> None:
     assert bench.writes() == [(6, 105, [20]), (6, 1102, [0x5A])]
 
 
-def test_ctrl_c_tells_what_has_left(make: Make) -> None:
+@pytest.mark.parametrize(("code", "took"), [(4, True), (5, True), (5, False), (6, False)])
+def test_an_acknowledge_to_a_save_is_not_known(make: Make, code: int, *, took: bool) -> None:
+    """The standard: 5 is accepted and at work still, 6 is busy, 4 went wrong on the way."""
+    bench = make(refuse_command=1102, refuse_with=code, refuse_done=took)
+    done = bench.do("set", "sample_period=20s", "--save", "--yes", "--json")
+    assert done.returncode == 1
+    assert f"roc1: register 1102 (save): exception {code} " in done.stderr
+    assert "perhaps saved; whether the values are saved is not known" in done.stderr
+    assert "save once more" in done.stderr
+    assert "written all the same, and perhaps saved: sample_period 00:20\n" in done.stderr
+    assert "refused" not in done.stderr
+    assert "nothing was saved" not in done.stderr
+    assert json.loads(done.stdout)["saved"] is None
+    bench.power_cycle()
+    assert bench.settings()["sample_period"] == (20 if took else 10)
+
+
+@LINES
+def test_a_write_that_is_acknowledged_and_done_later(make: Make, line: str) -> None:
+    """Exception 5 is no refusal: what is read back is what counts."""
+    bench = make(line, settings="acknowledge", settings_with=5, settings_from=2)
+    done = bench.do("set", "sample_period=20s", "hold_period=10s", "--save", "--yes")
+    assert done.returncode == 0, done.stderr
+    text = "register 106 (hold_period): exception 5 (acknowledge) to function 6; the device has"
+    assert text in done.stderr
+    assert bench.writes() == [(6, 105, [20]), (6, 106, [10]), (6, 1102, [0x5A])]
+
+
+@pytest.mark.parametrize("code", [4, 6])
+def test_a_write_that_stays_open_is_not_written(make: Make, code: int) -> None:
+    bench = make(settings="refuse", settings_with=code)
+    done = bench.do("set", "sample_period=20s", "--save", "--yes", "--json")
+    assert done.returncode == 1
+    assert f"register 105 (sample_period): exception {code} " in done.stderr
+    assert "not written so far, and not tried again" in done.stderr
+    assert "nothing was saved" in done.stderr
+    assert json.loads(done.stdout)["saved"] is False
+    assert bench.writes() == [(6, 105, [20])]
+
+
+def test_old_values_that_were_saved_by_bad_luck(make: Make) -> None:
+    """The power failed for a moment between the read and the save."""
+    bench = make(save_finds_old=True)
+    done = bench.do("set", "sample_period=20s", "--save", "--yes", "--json")
+    assert done.returncode == 1
+    assert "register 105 (sample_period) after saving: wanted 00:20, found 00:10" in done.stderr
+    text = "what is read back from 105 now, the old values, is perhaps what it has saved"
+    assert f"roc1: register 1102 (save): saving was acknowledged, but {text}" in done.stderr
+    assert json.loads(done.stdout)["saved"] is None
+    bench.power_cycle()
+    assert bench.settings()["sample_period"] == 10
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "more"),
+    [(signal.SIGINT, 130, ()), (signal.SIGTERM, 143, ()), (signal.SIGTERM, 143, ("--json",))],
+)
+def test_who_stops_it_is_told_what_has_left(
+    make: Make, number: int, code: int, more: tuple[str, ...]
+) -> None:
     bench = make(settings="deaf", settings_from=2)
     slow = bench.config.read_text().replace(FAST, 'timeout = "20s"')
     bench.config.write_text(slow)
-    command = [*ROCLOG, "device", "set", str(bench.config), "roc1", "--yes"]
+    command = [*ROCLOG, "device", "set", str(bench.config), "roc1", "--yes", *more]
     wanted = ["sample_period=20s", "hold_period=10s", "alarm_logic=1"]
     with Child([*command, *wanted], bench.config.parent / "set") as child:
         child.while_it_runs(lambda: len(bench.writes()) == 2, "the second write")
-        assert child.stop(signal.SIGINT) == 130
-        told = child.talk()
+        assert child.stop(number) == code
+        told, said = child.talk(), child.said()
+    if more:
+        problems = json.loads(said)["problems"]
+        assert "roc1: interrupted; sent, and not read back: sample_period" in problems[0]
     assert "interrupted; sent, and not read back: sample_period 00:20, hold_period 00:10;" in told
     assert f"`roclog device get {bench.config} roc1` shows what it holds" in told
     assert "Traceback" not in told
@@ -402,8 +486,9 @@ def test_saved_settings_survive_a_loss_of_power(make: Make, at_once: bool) -> No
 def test_a_refused_save(make: Make) -> None:
     bench = make(refuse_command=1102)
     done = bench.do("save", "--yes")
-    assert done.returncode == 4
-    assert "the device refused to save: exception 3" in done.stderr
+    assert done.returncode == 1
+    assert "register 1102 (save): the device refused to save: exception 3" in done.stderr
+    assert "nothing was saved" in done.stderr
     assert bench.writes() == [(6, 1102, [0x5A])]
 
 
@@ -413,19 +498,59 @@ def test_a_reset_without_an_answer(make: Make, line: str) -> None:
     assert bench.do("set", "sample_period=20s", "--yes").returncode == 0
     done = bench.do("reset", "--yes")
     assert done.returncode == 0, done.stderr
-    assert "roc1 answers again, and says that it is the same device" in done.stdout
+    assert "roc1 was reset, and says that it is the same device" in done.stdout
     assert "register 105 (sample_period) is 00:10 again: 00:20 was not saved" in done.stderr
     assert bench.writes()[1:] == [(6, 1101, [0x55])]
+
+
+def test_a_device_that_was_silent_was_reset(make: Make) -> None:
+    """Nothing was unsaved: that it was gone for a while is all there is to see."""
+    bench = make(reset_takes=1.5)
     found = json.loads(bench.do("reset", "--yes", "--json").stdout)
-    assert (found["schema"], found["remarks"]) == ("roclog.device.reset/1", [])
+    assert (found["schema"], found["done"]) == ("roclog.device.reset/1", True)
+    assert re.fullmatch(r"it did not answer for \d\.\d s", found["remarks"][0])
+    assert bench.writes() == [(6, 1101, [0x55])]
+
+
+@LINES
+def test_a_reset_that_was_not_heard_is_not_claimed(make: Make, line: str) -> None:
+    """It never stopped to answer, so nobody knows, and what would tell is named."""
+    bench = make(line, deaf_command=1101)
+    assert bench.do("set", "sample_period=20s", "--yes").returncode == 0
+    done = bench.do("reset", "--yes")
+    assert done.returncode == 0, done.stderr
+    assert "was reset, " not in done.stdout
+    assert "answers again" not in done.stdout
+    assert "roc1 answers, and says that it is the same device; whether it was" in done.stdout
+    assert "it answered all the time" in done.stderr
+    assert "One that was not saved would have fallen back: if there was one, it" in done.stderr
+    found = json.loads(bench.do("reset", "--yes", "--json").stdout)
+    assert found["done"] is None
+    assert "register 1101 (reset) has no answer" in found["remarks"][0]
+    assert len(bench.lines("reset")) == 0
+    assert bench.settings()["sample_period"] == 20
+
+
+@pytest.mark.parametrize("took", [True, False])
+def test_an_acknowledge_to_a_reset(make: Make, *, took: bool) -> None:
+    """Exception 5: it is at it still, or not; what it does then tells."""
+    bench = make(refuse_command=1101, refuse_with=5, refuse_done=took)
+    assert bench.do("set", "sample_period=20s", "--yes").returncode == 0
+    done = bench.do("reset", "--yes", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["done"] is (True if took else None)
+    assert "register 1101 (reset): exception 5 (acknowledge)" in found["remarks"][0]
+    assert "perhaps it resets all the same" in found["remarks"][0]
 
 
 def test_a_refused_reset(make: Make) -> None:
     bench = make(refuse_command=1101)
     done = bench.do("reset", "--yes")
-    assert done.returncode == 4
-    assert "roc1: the device refused to reset: exception 3" in done.stderr
-    assert json.loads(bench.do("reset", "--yes", "--json").stdout)["problems"]
+    assert done.returncode == 1
+    assert "roc1: register 1101 (reset): the device refused to reset: exception 3" in done.stderr
+    found = json.loads(bench.do("reset", "--yes", "--json").stdout)
+    assert (bool(found["problems"]), found["done"]) == (True, False)
 
 
 def test_a_gateway_that_passes_nothing_on_has_reset_nothing(make: Make) -> None:
@@ -433,7 +558,7 @@ def test_a_gateway_that_passes_nothing_on_has_reset_nothing(make: Make) -> None:
     done = bench.do("reset", "--yes")
     assert done.returncode == 4
     assert "refused to reset: exception 10 (gateway path unavailable)" in done.stderr
-    assert "answers again" not in done.stdout
+    assert "answers" not in done.stdout
 
 
 def test_a_device_that_does_not_come_back(make: Make) -> None:
@@ -492,6 +617,83 @@ def test_a_node_id_that_another_device_of_the_configuration_has(make: Make) -> N
     done = bench.do("set", "node_id=138", "--yes")
     assert done.returncode == 0, done.stderr
     assert "node_id is 138 already, and is not written" in done.stdout
+
+
+def test_a_clock_without_a_zone_is_said_to_be_utc(make: Make) -> None:
+    bench = make()
+    text = "clock: 2027-02-03T04:05:06 names no zone, it is taken as UTC"
+    done = bench.do("set", "clock=2027-02-03T04:05:06", "--yes")
+    assert done.returncode == 0, done.stderr
+    assert f"roclog: note: {text}\n" in done.stderr
+    assert bench.settings()["time_hour"] == 4
+    done = bench.do("set", "clock=2027-02-03T04:05:06", "--yes", "--json")
+    assert text in json.loads(done.stdout)["remarks"]
+    done = bench.do("set", "clock=2027-02-03T04:05:06+02:00", "--yes")
+    assert "names no zone" not in done.stderr
+    assert bench.settings()["time_hour"] == 2
+
+
+def test_notes_of_the_document_come_where_they_are_asked_for(make: Make) -> None:
+    bench = make()
+    for names, notes in {
+        (): (),
+        ("sample_period",): (),
+        ("time_hour",): ("clock, unused",),
+        ("limit_2",): ("both readings",),
+    }.items():
+        told = bench.do("get", *names).stderr
+        assert [n for n in ("clock, unused", "both readings") if n in told] == list(notes)
+    assert "note" not in bench.do("save", "--yes").stderr
+    assert bench.do("set", "alarm_trigger=1", "limit_1=180", "--yes").returncode == 0
+    assert "both readings" in bench.do("get").stderr
+
+
+@LINES
+def test_refused_reads_are_told_at_once_with_their_registers(make: Make, line: str) -> None:
+    bench = make(line, refuse_read=100)
+    done = bench.do("get", "--json")
+    assert done.returncode == 4
+    text = "roc1: holding registers 100 to 113 (configuration): exception 2 (illegal data address)"
+    assert text in done.stderr
+    found = json.loads(done.stdout)
+    assert (found["schema"], found["device"]) == ("roclog.device.get/1", "roc1")
+    assert text in found["problems"][0]
+    assert bench.roc.truth.count("exception") == 1
+
+
+def test_every_error_is_an_object_too(make: Make) -> None:
+    """As `check --json` does it: who reads stdout as JSON is never left with nothing."""
+    bench = make(unit=17)
+    for what, code in {
+        ("identify",): 4,
+        ("get", "nonsense"): 2,
+        ("set", "sample_period=1s", "hold_period=1s", "--yes"): 2,
+        ("save",): 2,
+        ("reset", "--yes"): 4,
+    }.items():
+        done = bench.do(*what, "--json")
+        assert done.returncode == code, done.stderr
+        found = json.loads(done.stdout)
+        assert found["schema"] == f"roclog.device.{what[0]}/1"
+        assert all(problem in done.stderr for problem in found["problems"])
+        assert len(found["problems"]) == (2 if "hold_period=1s" in what else 1)
+    bench.config.write_text(bench.config.read_text() + "bogus = 1\n")
+    done = bench.do("get", "--json")
+    assert done.returncode == 3
+    assert "bogus" in json.loads(done.stdout)["problems"][0]
+
+
+def test_a_refused_function_says_why(tmp_path: Path) -> None:
+    """As `check --probe` and `read` do: the status text, asked for at once."""
+    config = tmp_path / "roclog.toml"
+    with Msx(tmp_path, fail=f"{TYPE}:-100:5:no EEPROM") as module:
+        config.write_text(module.toml())
+        done = roclog("device", "identify", config, "msx1")
+        truth = module.end()
+    assert done.returncode == 4
+    assert f"msx1: function {TYPE} (module_type): exception 9" in done.stderr
+    assert "status of the last call: returned -100, errno 5: no EEPROM" in done.stderr
+    assert [c["register"] for c in truth.of("call")] == [TYPE, STATUS]
 
 
 def test_the_clock_is_set_and_called_unused(make: Make) -> None:
@@ -570,6 +772,7 @@ def test_a_function_is_called_once_to_identify(tmp_path: Path) -> None:
             done = roclog("device", "identify", config, "msx1")
             truth = module.end()
         assert done.returncode == (4 if lost else 0), done.stderr
+        assert ("a function is called once only: try again" in done.stderr) is bool(lost)
         assert lost or "MSX-E3317-8" in done.stdout
         assert len([line for line in truth.lines if line.get("register") == TYPE]) == 1
 

@@ -44,6 +44,7 @@ class Schedule:
         self._last = min(self._options.samples, self._options.stop_after or self._options.samples)
         self._model.race = self._race
         self._model.on_reset = self._reset
+        self._model.on_acknowledge = lambda later: self._loop.call_later(1.0, later)
         self._model.on_power_failure = lambda: self._loop.call_soon(self.power_fails)
 
     def start(self) -> None:

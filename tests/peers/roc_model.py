@@ -21,6 +21,7 @@ from roc_map import (
 )
 from roc_samples import Sample, SampleSource
 from wire import (
+    ILLEGAL_ADDRESS,
     ILLEGAL_VALUE,
     PduError,
     Read,
@@ -65,6 +66,7 @@ class Model:
         self.truth = truth
         self.on_reset: Callable[[], None] = lambda: None
         self.on_power_failure: Callable[[], object] = lambda: None
+        self.on_acknowledge: Callable[[Callable[[], None]], object] = lambda later: later()
         self.race: Callable[[Sample | None], bool] = _nothing
         self._options = options
         self._disk = _disk(options.check_disk) if options.check_disk else None
@@ -164,6 +166,8 @@ class Model:
 
     def _read(self, command: Read, origin: dict[str, object]) -> Reply:
         check_read(command)
+        if command.address == self._options.refuse_read and command.address:
+            raise PduError(ILLEGAL_ADDRESS)
         span = range(command.address, command.address + command.count)
         data = octets_of([self._register(address) for address in span])
         touches_block = span[-1] in BLOCK
@@ -209,8 +213,11 @@ class Model:
             raise
         if wanted.keys() & self._config.keys():
             return self._set(wanted, echo, facts)
+        if self._options.deaf_command in wanted:
+            self.truth.log("write", accepted=False, fault="deaf", **facts)
+            return Reply(None)
         if SAVE in wanted:
-            self._saved = dict(self._config)
+            self._save()
         if RESET in wanted:
             self.truth.log("reset", **facts)
             self.on_reset()
@@ -218,9 +225,17 @@ class Model:
         self.truth.log("write", accepted=True, **facts)
         return Reply(None if self._options.lose_command in wanted else echo)
 
+    def _save(self) -> None:
+        if self._options.save_finds_old:
+            self._config = dict(self._saved)
+        self._saved = dict(self._config)
+
     def _refuse_command(self, wanted: dict[int, int]) -> None:
-        if self._options.refuse_command in wanted:
-            raise PduError(self._options.refuse_with)
+        if self._options.refuse_command not in wanted:
+            return
+        if self._options.refuse_done:
+            self.on_reset() if RESET in wanted else self._save()
+        raise PduError(self._options.refuse_with)
 
     def _set(self, wanted: dict[int, int], echo: bytes, facts: dict[str, object]) -> Reply:
         """A write of settings, or what has been ordered to become of it."""
@@ -228,9 +243,13 @@ class Model:
         self._settings_written += 1
         ordered = self._settings_written >= options.settings_from
         fault = options.settings if ordered else None
-        self.truth.log("write", accepted=fault in (None, "lose"), fault=fault, **facts)
-        if fault == "refuse":
-            raise PduError(ILLEGAL_VALUE)
+        self.truth.log(
+            "write", accepted=fault in (None, "lose", "acknowledge"), fault=fault, **facts
+        )
+        if fault == "acknowledge":
+            self.on_acknowledge(lambda: self._config.update(wanted))
+        if fault in ("refuse", "acknowledge"):
+            raise PduError(options.settings_with)
         if fault in (None, "lose"):
             self._config |= wanted
         if self._settings_written == options.power_fails_after:

@@ -48,13 +48,21 @@ class Options:
     stop_after: int = _option(0, "dead half a cycle after sample K", kind=int)
     settings: str | None = _option(
         None,
-        "what becomes of a write to 100-113: refused, echoed only, done unanswered, neither",
-        choices=("refuse", "ignore", "lose", "deaf"),
+        "what becomes of a write to 100-113: refused, echoed only, done unanswered, neither, "
+        "done a second later and answered by an exception",
+        choices=("refuse", "ignore", "lose", "deaf", "acknowledge"),
     )
+    settings_with: int = _option(3, "exception code of refuse and acknowledge", kind=int)
     settings_from: int = _option(1, "number of the first write that befalls", kind=int)
     power_fails_after: int = _option(0, "power fails after the N-th write to 100-113", kind=int)
     refuse_command: int = _option(0, "register, 1101 or 1102, that answers exception 3", kind=int)
     refuse_with: int = _option(3, "another exception code for it", kind=int)
+    refuse_done: bool = _option(default=False, text="and it is carried out", kind=bool)
+    deaf_command: int = _option(0, "register, 1101 or 1102, not heard at all", kind=int)
+    save_finds_old: bool = _option(
+        default=False, text="power fails for a moment just before a save", kind=bool
+    )
+    refuse_read: int = _option(0, "first register of reads that answer exception 2", kind=int)
     lose_command: int = _option(0, "register, 1101 or 1102, done unanswered", kind=int)
     reset_takes: float = _option(0.0, "seconds of silence after a reset", kind=float)
     node_id_now: bool = _option(default=False, text="100 counts as soon as written", kind=bool)

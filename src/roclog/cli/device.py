@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from roclog.cli.device_call import Call, asking_call, find_target, find_writable
+from roclog.cli.device_command import DeviceGroup, print_object, remember_sent
 from roclog.cli.device_output import (
     change_object,
     change_text,
     identity_object,
     kept_text,
-    outcome_object,
     print_identity,
     print_plan,
     print_settings,
+    reset_object,
+    reset_text,
     sent_text,
     settings_object,
 )
@@ -27,18 +28,19 @@ from roclog.commanding.change import Outcome, change, reset
 from roclog.commanding.settings import (
     Plan,
     SettingErrors,
+    assumed,
     describe,
     parse_settings,
     plan,
     writable_of,
 )
-from roclog.commanding.talk import neighbour, read_identity
+from roclog.commanding.talk import NotDone, neighbour, read_identity
 from roclog.errors import DeviceError
 from roclog.quantities import format_duration
 from roclog.register_map.writable import RESET, SAVE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable, Coroutine, Mapping, Sequence
 
     from roclog.commanding.talk import State
 
@@ -56,12 +58,16 @@ def _asking(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--yes", is_flag=True, help="Do not ask; for scripts.")(as_json(function))
 
 
-@click.group()
+@click.group(cls=DeviceGroup)
 def device() -> None:
     """Change what a device itself is set to.
 
     Everything is shown before it is done and read back afterwards. Nothing is written blindly a
     second time. `record` never does any of this.
+
+    Exit code 4: the device does not answer, or did not when it had to be known what became of a
+    write; 1: it answers, and did not do what it was told, or is not what was shown. Ctrl-C and
+    SIGTERM tell what had been sent: 130 and 143.
 
     Which settings and commands there are is part of the register map of a profile: hiac-roc has
     them.
@@ -90,7 +96,7 @@ def identify_command(config: Path, device: str, *, as_json: bool) -> None:
         raise click.UsageError(f"{device}: {text}")
     words = call.run(read_identity(call.target))
     if as_json:
-        click.echo(json.dumps(identity_object(call.target.device, words), default=bytes.hex))
+        print_object(identity_object(call.target.device, words))
     else:
         print_identity(call.target.device, words)
 
@@ -115,9 +121,9 @@ def get_command(config: Path, device: str, *, names: tuple[str, ...], as_json: b
     state = call.look()
     chosen = [s for s in describe(call.profile, state.words) if not names or s.name in names]
     if as_json:
-        click.echo(json.dumps(settings_object(call.target.device, state, chosen)))
+        print_object(settings_object(call.target.device, state, chosen))
     else:
-        print_settings(call.profile, chosen)
+        print_settings(call.profile, chosen, with_notes=bool(names))
 
 
 @device.command("set")
@@ -138,10 +144,10 @@ def set_command(
     A device keeps changed settings only until it loses its power, unless they are saved: with
     --save, or later with `roclog device save`. Either saves all that the device is set to.
 
-    The HIAC ROC: `clock=now` or `clock=2026-11-23T06:00:00Z` sets registers 101-104, which its
-    document calls writable and unused. limit_1 to limit_4 are the numbers in the registers (180,
-    not 18.0), or none, 00, 000. node_id is the unit in the configuration, which has to be changed
-    there as well.
+    The HIAC ROC: `clock=now` or `clock=2026-11-23T06:00:00Z` (UTC without a zone) sets registers
+    101-104, which its document calls writable and unused. limit_1 to limit_4 are the numbers in the
+    registers (180, not 18.0), or none, 00, 000. node_id is the unit in the configuration, which has
+    to be changed there as well.
 
     \b
     Example:
@@ -154,14 +160,14 @@ def set_command(
         wanted = parse_settings(call.profile, changes, now().utc)
         _check_unit(call, wanted)
         state = call.look()
-        planned = plan(call.profile, wanted, state.words)
+        planned = _plan(call, changes, wanted, state)
         _check_neighbour(call, state, wanted)
         _show_plan(call, planned, state, save=save)
         if planned.steps or save:
             verb = "Write" if planned.steps else "Save"
             call.ask(f"{verb}{' and save' if save and planned.steps else ''} this?")
             wanted = parse_settings(call.profile, changes, now().utc)  # `now` has moved on
-            planned = plan(call.profile, wanted, state.words)
+            planned = _plan(call, changes, wanted, state)
     except SettingErrors as error:
         raise click.UsageError("\n".join(error.problems)) from error
     _change(call, state, planned, "set", save=save)
@@ -203,6 +209,9 @@ def reset_command(config: Path, device: str, *, wait: int, yes: bool, as_json: b
 
     Settings that were not saved are lost, and so is a sample that was not recorded yet.
 
+    The command has no answer. That the device was reset is known when it was silent for a while, or
+    when what was not saved is gone; otherwise it is told that nothing is known, with exit code 0.
+
     \b
     Example:
       roclog device reset roclog.toml roc1
@@ -215,10 +224,16 @@ def reset_command(config: Path, device: str, *, wait: int, yes: bool, as_json: b
     outcome = Outcome()
     _run(call, state, outcome, reset(call.target, state, outcome, wait))
     if as_json:
-        click.echo(json.dumps(outcome_object("reset", call.target.device, outcome)))
+        print_object(reset_object(call.target.device, outcome))
     elif not outcome.problems:
-        click.echo(f"{device} answers again, and says that it is the same device")
+        click.echo(f"{device} {reset_text(outcome)}")
     _conclude(call, outcome)
+
+
+def _plan(call: Call, changes: Sequence[str], wanted: Mapping[str, int], state: State) -> Plan:
+    """With what was taken for granted, for people to see."""
+    found = plan(call.profile, wanted, state.words)
+    return found._replace(remarks=(*assumed(changes), *found.remarks))
 
 
 def _check_unit(call: Call, wanted: dict[str, int]) -> None:
@@ -240,7 +255,7 @@ def _check_neighbour(call: Call, state: State, wanted: dict[str, int]) -> None:
     found = call.run(neighbour(call.target, state, unit))
     if found:
         text = f"cannot become unit {unit}: {found}; nothing was written"
-        raise DeviceError(f"{call.name} {text}")
+        raise NotDone(f"{call.name} {text}")
 
 
 def _show_plan(call: Call, planned: Plan, state: State, *, save: bool) -> None:
@@ -257,7 +272,7 @@ def _change(call: Call, state: State, planned: Plan, what: str, *, save: bool) -
     if planned.steps or save:
         _run(call, state, outcome, change(call.target, state, planned, outcome, save=save))
     if call.as_json:
-        click.echo(json.dumps(change_object(what, call.target.device, planned, outcome)))
+        print_object(change_object(what, call.target.device, planned, outcome))
     elif not outcome.problems and (planned.steps or save):
         click.echo(f"{call.name}: {change_text(planned, outcome)}")
     if outcome.problems:
@@ -272,12 +287,13 @@ def _change(call: Call, state: State, planned: Plan, what: str, *, save: bool) -
 
 def _run(call: Call, state: State, outcome: Outcome, work: Coroutine[Any, Any, None]) -> None:
     """Who interrupts it is told what has left so far."""
-    try:
-        call.run(work)
-    except KeyboardInterrupt:
-        sent = sent_text(call.profile, state, outcome)
-        tell(f"{call.name}: interrupted; {sent}; {call.command('get')} shows what it holds")
-        raise
+
+    def sent() -> str:
+        text = sent_text(call.profile, state, outcome)
+        return f"{text}; {call.command('get')} shows what it holds"
+
+    remember_sent(sent)
+    call.run(work)
 
 
 def _conclude(call: Call, outcome: Outcome) -> None:
@@ -286,7 +302,8 @@ def _conclude(call: Call, outcome: Outcome) -> None:
         call.note(f"note: {remark}")
     _mention_unit(call, outcome)
     if outcome.problems:
-        raise DeviceError("\n".join(f"{call.name}: {text}" for text in outcome.problems))
+        kind = DeviceError if outcome.lost else NotDone
+        raise kind("\n".join(f"{call.name}: {text}" for text in outcome.problems))
 
 
 def _mention_unit(call: Call, outcome: Outcome) -> None:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
+from roclog.cli import INTERRUPTED
 from roclog.cli.device_output import print_who
 from roclog.cli.output import tell
 from roclog.clock import SystemClock
-from roclog.commanding.talk import Target, look
+from roclog.commanding.talk import NotDone, Target, look
 from roclog.config import load
 from roclog.config.reading import suggestion
 from roclog.errors import DeviceError, LinkDown
@@ -52,9 +53,11 @@ class Call:
         return f"`roclog device {name} {self.config} {self.name}`"
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
-        """Its result; a DeviceError names the device."""
+        """Its result; a DeviceError or NotDone names the device."""
         try:
             return asyncio.run(work)
+        except NotDone as error:
+            raise NotDone(f"{self.name}: {error}") from error
         except DeviceError as error:
             more = ""
             cause = error.__cause__ if isinstance(error, LinkDown) else None
@@ -79,12 +82,13 @@ class Call:
         """Ends the command where people do not agree."""
         try:
             agreed = self.yes or click.confirm(question, err=True)
-        except click.Abort:
+        except click.Abort:  # Ctrl-C or Ctrl-D
             click.echo(err=True)
-            agreed = False
+            tell(f"{self.name}: interrupted; nothing was sent")
+            raise click.exceptions.Exit(INTERRUPTED) from None
         if not agreed:
-            tell("nothing was written")
-            raise click.exceptions.Exit(1)
+            tell(f"{self.name}: nothing was sent")
+            raise click.exceptions.Exit(0)
 
 
 def find_target(config: Path, name: str) -> Target:

@@ -49,23 +49,28 @@ def identity_object(device: Device, words: Sequence[Sequence[int]]) -> dict[str,
     values = _identity_values(device.profile, words)
     return {
         **_head("identify", device, device.unit),
+        "problems": [],
         "identity": {name: value for block in values.values() for name, value in block.items()},
     }
 
 
-def print_settings(register_map: RegisterMap, settings: Sequence[Shown]) -> None:
+def print_settings(
+    register_map: RegisterMap, settings: Sequence[Shown], *, with_notes: bool = False
+) -> None:
+    """with_notes: all that the document says of them, else only of values of several readings."""
     block = setting_block(register_map)
     rows = [
         (str(s.address), f"{s.word:04X}", s.name, _value(s), _meaning(s), s.allowed)
         for s in settings
     ]
     print_table(block.title or block.name, _HEADINGS, rows, _NUMERIC)
-    _tell_remarks(settings)
+    _tell_remarks([s for s in settings if with_notes or s.readings])
 
 
 def settings_object(device: Device, state: State, settings: Sequence[Shown]) -> dict[str, object]:
     return {
         **_head("get", device, state.unit),
+        "problems": [],
         "settings": [_setting_object(setting) for setting in settings],
     }
 
@@ -123,7 +128,7 @@ def change_object(what: str, device: Device, plan: Plan, outcome: Outcome) -> di
     """saved: None = not known."""
     steps = plan.steps
     return {
-        **outcome_object(what, device, outcome),
+        **_outcome_object(what, device, outcome),
         "wanted": [
             {"name": s.name, "register": s.address, "old": s.old, "new": s.new} for s in steps
         ],
@@ -133,7 +138,20 @@ def change_object(what: str, device: Device, plan: Plan, outcome: Outcome) -> di
     }
 
 
-def outcome_object(what: str, device: Device, outcome: Outcome) -> dict[str, object]:
+def reset_text(outcome: Outcome) -> str:
+    """What is known, where nothing went wrong."""
+    same = "and says that it is the same device"
+    if outcome.done:
+        return f"was reset, {same}"
+    return f"answers, {same}; whether it was reset is not known"
+
+
+def reset_object(device: Device, outcome: Outcome) -> dict[str, object]:
+    """done: None = not known."""
+    return {**_outcome_object("reset", device, outcome), "done": outcome.done}
+
+
+def _outcome_object(what: str, device: Device, outcome: Outcome) -> dict[str, object]:
     """unit, settings: None = the device could not be read afterwards."""
     state = outcome.state
     settings = describe(device.profile, state.words) if state else []

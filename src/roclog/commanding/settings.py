@@ -6,6 +6,7 @@ only, and named by the setting.
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 CLOCK: Final = "clock"
 """Name under which all settings of a device's clock are set at once."""
+_NOW: Final = "now"
+_ZONE: Final = re.compile(r"(Z|[+-]\d\d:\d\d)$")
 _SECOND: Final = 10**9
 
 
@@ -215,6 +218,21 @@ def describe(register_map: RegisterMap, words: Sequence[int]) -> list[Shown]:
     return shown
 
 
+def assumed(texts: Sequence[str]) -> tuple[str, ...]:
+    """What is taken for granted in texts of which parse_settings has found nothing wrong."""
+    instants = [text.removeprefix(f"{CLOCK}=") for text in texts if text.startswith(f"{CLOCK}=")]
+    return tuple(
+        f"{CLOCK}: {text} names no zone, it is taken as UTC"
+        for text in instants
+        if text != _NOW and not _ZONE.search(text)
+    )
+
+
+def clock_words(register_map: RegisterMap, words: Sequence[int]) -> tuple[int, ...]:
+    """Those of the device's clock, largest unit first: a later time is a greater tuple."""
+    return tuple(words[offset] for offset in _clock_offsets(register_map))
+
+
 def _points(register_map: RegisterMap) -> dict[str, Point]:
     return {point.name: point for point in setting_block(register_map).points}
 
@@ -248,12 +266,14 @@ def _named_numbers(
 def _clock_numbers(text: str, now: int) -> tuple[int, int, int, int]:
     """Year, month and day, hour, seconds since the hour."""
     try:
-        instant = now if text == "now" else parse_instant(text)
-    except ValueError as error:
-        raise ValueError(f"{CLOCK}: {error}, nor now") from error
-    if text != "now" and instant % _SECOND:
+        instant = now if text == _NOW else parse_instant(text)
+        at = datetime.fromtimestamp(instant // _SECOND, UTC)
+    except (ValueError, OverflowError) as error:
+        reason = "" if text in str(error) else f" ({error})"
+        wanted = "write now, or an instant like 2026-11-23T06:00:00Z"
+        raise ValueError(f"{CLOCK}: {text!r} is no date and time{reason}: {wanted}") from error
+    if text != _NOW and instant % _SECOND:
         raise ValueError(f"{CLOCK}: {text!r} is finer than a second")
-    at = datetime.fromtimestamp(instant // _SECOND, UTC)
     return at.year, 100 * at.month + at.day, at.hour, 60 * at.minute + at.second
 
 
