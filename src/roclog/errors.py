@@ -76,10 +76,14 @@ class NoAnswer(DeviceError, TimeoutError):
 
 
 class WrongAnswer(DeviceError):
-    """The checksum holds, but unit, function, byte count or echo do not fit the request."""
+    """The checksum holds, but unit, function, byte count or echo do not fit the request.
 
-    def __init__(self, text: str, raw: bytes) -> None:
+    is_strange: it is not even a whole answer of the unit that was asked.
+    """
+
+    def __init__(self, text: str, raw: bytes, *, is_strange: bool = False) -> None:
         self.raw = raw
+        self.is_strange = is_strange
         super().__init__(f"{text} (octets {raw[:64].hex(' ')})")
 
 

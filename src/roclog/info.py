@@ -100,6 +100,7 @@ def as_object(info: Info) -> dict[str, object]:
                 "kind": channel.kind,
                 "profile": channel.profile,
                 "message_type": channel.schema,
+                "message_types": channel.schemas,
                 "problem": channel.problem or None,
                 **_extent(info.channels.get(topic, Extent())),
             }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from array import array
 from bisect import bisect_left
+from collections import Counter
 from dataclasses import dataclass, field
 from glob import escape
 from itertools import pairwise
@@ -25,7 +26,14 @@ _COLOURS: Final = ("#1d3557", "#2a7f9e", "#e9a23b", "#c8553d", "#6b8e4e", "#7d5b
 _GAP: Final = "#d1495b"
 _GAPS: Final = {False: "gap: samples missing", True: "perhaps missing"}
 _INK: Final = "#33393f"
-_UNITS: Final = {"Cel": "°C", "1/mL": "particles per mL", "[ppm]": "ppm", "s": "s", "1": ""}
+_UNITS: Final = {
+    "Cel": "°C",
+    "1/mL": "particles per mL",
+    "[ppm]": "ppm",
+    "[pH]": "",
+    "s": "s",
+    "1": "",
+}
 _NAMES: Final = {"iso_code": "ISO 4406 code", "count": "count"}
 _TIMES: Final = frozenset({"s", "us", "ms", "min", "h"})
 _MOST_PANELS: Final = 12
@@ -38,7 +46,10 @@ _DECADES: Final = 30.0
 
 @dataclass
 class Panel:
-    """Lines of a block that share an axis. key: (name of the quantity, unit)."""
+    """Lines of a block that share an axis. key: (name of the quantity, unit).
+
+    has_twin: another block of the device has the same quantity.
+    """
 
     device: str
     block: str
@@ -46,13 +57,31 @@ class Panel:
     lines: dict[str, array[float]] = field(default_factory=dict)
     times: array[int] = field(default_factory=lambda: array("q"))
     is_fraction: bool = False
+    has_twin: bool = False
 
     @property
     def label(self) -> str:
         name, unit = self.key
         text = _NAMES.get(name, name.replace("_", " "))
         shown = _UNITS.get(unit, unit)
-        return f"{text}\n({shown})" if shown else text
+        lines = [self.block.replace("_", " ")] * self.has_twin + [
+            text,
+            *[f"({shown})"] * bool(shown),
+        ]
+        return "\n".join(lines)
+
+    def add(self, time: int, values: Mapping[str, object]) -> None:
+        self.times.append(time)
+        for name, line in self.lines.items():
+            value = values.get(name)
+            line.append(float(value) if _is_number(value) else _NAN)
+
+    def take_in(self, other: Panel) -> None:
+        """Lines that came up later; before, they have no values."""
+        self.is_fraction |= other.is_fraction
+        for name in other.lines:
+            if name not in self.lines:
+                self.lines[name] = array("d", [_NAN]) * len(self.times)
 
     @property
     def has_numbers(self) -> bool:
@@ -123,22 +152,28 @@ def _with_gaps(recording: Recording, channel: Patterns) -> list[str] | None:
 def _gather(
     records: Iterable[Record], channels: Mapping[str, Channel]
 ) -> tuple[list[Panel], list[Gap]]:
-    panels: dict[str, list[Panel]] = {}
+    panels: dict[str, dict[tuple[str, str], Panel]] = {}
+    shapes: set[tuple[str, frozenset[str]]] = set()
     gaps: list[Gap] = []
     for record in records:
         if isinstance(record, Gap):
             gaps.append(record)
         elif isinstance(record, Sample):
-            if record.topic not in panels:
-                panels[record.topic] = _panels(record, channels.get(record.topic))
-            for panel in panels[record.topic]:
-                panel.times.append(record.log_time)
-                for name, values in panel.lines.items():
-                    value = record.values.get(name)
-                    values.append(float(value) if _is_number(value) else _NAN)
-    found = [panel for of_topic in panels.values() for panel in of_topic if panel.has_numbers]
+            known = panels.setdefault(record.topic, {})
+            measured = frozenset(name for name, value in record.values.items() if value is not None)
+            if (record.topic, measured) not in shapes:
+                shapes.add((record.topic, measured))
+                for panel in _panels(record, channels.get(record.topic)):
+                    known.setdefault(panel.key, panel).take_in(panel)
+            for panel in known.values():
+                panel.add(record.log_time, record.values)
+    found = [panel for of_topic in panels.values() for panel in of_topic.values()]
+    found = [panel for panel in found if panel.has_numbers]
     best = [panel for panel in found if panel.is_measured] or found
-    return sorted(best, key=lambda panel: (panel.device, *_rank(panel))), gaps
+    count = Counter((panel.device, panel.key) for panel in best)
+    for panel in best:
+        panel.has_twin = count[panel.device, panel.key] > 1
+    return sorted(best, key=lambda panel: (panel.device, *_rank(panel), panel.block)), gaps
 
 
 def _is_number(value: object) -> TypeGuard[float]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from enum import StrEnum
+from functools import partial
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from roclog.bus.tally import Tally
 from roclog.connect import make_bus
 from roclog.decode import Decoded, decode
-from roclog.errors import DeviceError, ExceptionAnswer
+from roclog.errors import DeviceError, ExceptionAnswer, LinkDown, NoAnswer, WrongAnswer
 from roclog.modbus.stamped import Layout, parse, split
 from roclog.polling.facts import read_words
 from roclog.polling.refusal import described, is_refusal
@@ -17,6 +19,8 @@ from roclog.polling.stamped_table import oldest_baseline, stamp_decoder
 from roclog.register_map import ClearOnRead
 
 if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Iterator
+
     from roclog.bus.bus import Bus
     from roclog.clock import Clock
     from roclog.config.settings import Device, Settings
@@ -25,31 +29,82 @@ if TYPE_CHECKING:
     from roclog.stamps import Stamp
 
 
+_T = TypeVar("_T")
+_PAUSES: Final = 0.25, 0.5
+"""Seconds before a question is repeated over a link that was lost; a question is asked once more
+than there are of them."""
+_MOST_SILENT: Final = 3
+"""Questions in a row without an answer, after which a device that has answered is asked no more."""
+
+
+class State(StrEnum):
+    """How a question or a device was answered."""
+
+    ANSWERS = "answers"
+    PARTLY = "partly"
+    """A device only: some of its data came."""
+    REFUSES = "refuses"
+    """The device itself said no."""
+    WRONG = "wrong"
+    """Something came that does not answer the question."""
+    SILENT = "silent"
+    UNASKED = "not asked"
+    """A device only: nothing of it may be read without harm."""
+
+
 @dataclass(frozen=True, slots=True)
 class BlockRead:
-    """One block of one device, or why it could not be read (then ``decoded`` is None).
-
-    refused: the device itself said no.
-    """
+    """One block of one device, or why it could not be read (then ``decoded`` is None)."""
 
     block: Block
     registers: tuple[int, ...]
     decoded: Decoded | None
     problem: str = ""
-    refused: bool = False
+    state: State = State.ANSWERS
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What a device was asked for, and why it did not come; empty where it did.
+
+    place: in words, with the addresses. texts: what the device says of itself there.
+    """
+
+    place: str
+    state: State
+    problem: str = ""
+    texts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class ProbeResult:
-    """Whether a device gave its data, and who it says it is or what went wrong.
-
-    refused: it is there, and said no.
-    """
+    """What a device answered. left_out: what it was not asked for, with the reason."""
 
     device: str
-    ok: bool
-    text: str
-    refused: bool = False
+    parts: tuple[Part, ...]
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def state(self) -> State:
+        states = {part.state for part in self.parts}
+        if State.ANSWERS in states:
+            return State.ANSWERS if len(states) == 1 else State.PARTLY
+        for state in (State.REFUSES, State.WRONG):
+            if state in states:
+                return state
+        return State.SILENT if states else State.UNASKED
+
+    @property
+    def text(self) -> str:
+        """Who it says it is, and how much of it could be read."""
+        read = [part for part in self.parts if part.state is State.ANSWERS]
+        texts = next((part.texts for part in read if part.texts), ())
+        count = f"{len(read)} of {len(self.parts)} blocks read"
+        return ", ".join([*texts, count if self.parts else "nothing may be read without harm"])
+
+    @property
+    def problems(self) -> tuple[Part, ...]:
+        return tuple(part for part in self.parts if part.problem)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +119,7 @@ class StampedRead:
     last: int
     inputs: tuple[tuple[int, int, Stamp], ...]
     problem: str = ""
+    state: State = State.ANSWERS
 
 
 async def read_device(settings: Settings, name: str, clock: Clock) -> list[BlockRead]:
@@ -94,13 +150,15 @@ async def read_stamped(settings: Settings, name: str, clock: Clock) -> list[Stam
 
 
 async def _read_stamped(
-    bus: Bus, device: Device, inputs: StampedInputs, request: ReadStamped
+    bus: Bus, device: Device, inputs: StampedInputs, request: ReadStamped, *, again: bool = False
 ) -> StampedRead:
+    """again: as of _read."""
     place = inputs.table, request.address, request.address + request.count - 1
+    ask = partial(bus.transact, device.unit, request, Tally())
     try:
-        answer = await bus.transact(device.unit, request, Tally())
+        answer = await (_repeated(bus, ask) if again else ask())
     except DeviceError as error:
-        return StampedRead(*place, (), str(error))
+        return StampedRead(*place, (), str(error), _state(error))
     decoder = stamp_decoder(device.profile.stamp_rules)
     since = oldest_baseline(answer.read.utc)
     found = tuple(
@@ -115,14 +173,20 @@ async def _read_stamped(
 
 
 async def probe(settings: Settings, clock: Clock) -> list[ProbeResult]:
-    """The first block of every device; connections side by side, devices on one after another."""
+    """Everything that may be read without harm, once each.
+
+    Connections side by side, devices on one after another. What was lost on the way is asked for
+    again, but no function is called twice. A device that is silent at first is asked for nothing
+    else.
+    """
     groups: dict[str, list[Device]] = {}
     for device in settings.devices.values():
         groups.setdefault(device.connection, []).append(device)
     found = await asyncio.gather(
         *(_probe_connection(settings, name, group, clock) for name, group in groups.items())
     )
-    return [result for results in found for result in results]
+    results = {result.device: result for results in found for result in results}
+    return [results[name] for name in settings.devices]
 
 
 async def _probe_connection(
@@ -130,47 +194,104 @@ async def _probe_connection(
 ) -> list[ProbeResult]:
     bus = make_bus(settings.connections[name], [], clock)
     try:
-        return [await _probe_device(bus, device) for device in devices]
+        return [await probe_device(bus, device) for device in devices]
     finally:
         bus.close()
 
 
-async def _probe_device(bus: Bus, device: Device) -> ProbeResult:
-    """Ask for the first block, or where there is none for the first stamped inputs."""
-    harmless = [b for b in device.profile.blocks if not isinstance(b.trigger, ClearOnRead)]
-    if harmless:
-        read = await _read(bus, device, harmless[0])
-        texts = [] if read.decoded is None else [v for v in read.decoded.values if v]
-        said = [v.strip() for v in texts if isinstance(v, str) and v.strip()]
-        text = read.problem or ", ".join(said) or f"block {read.block.name} was read"
-        if read.refused:
-            text = f"{_place(read.block)}: {text}"
-        ok = read.decoded is not None
-        return ProbeResult(device.name, ok=ok, text=text, refused=read.refused)
-    for inputs in device.profile.stamped[:1]:
-        request = split(inputs.mei, inputs.address, inputs.count)[0]
-        stamped = await _read_stamped(bus, device, inputs, request)
-        what = f"{stamped.table.replace('_', ' ')} {stamped.first} to {stamped.last}"
-        text = stamped.problem or f"{what} were read"
-        return ProbeResult(device.name, ok=not stamped.problem, text=text)
-    return ProbeResult(device.name, ok=False, text="nothing can be read without clearing it")
+async def probe_device(bus: Bus, device: Device) -> ProbeResult:
+    """As probe, of one device; bus: its connection. Does not raise DeviceError."""
+    left_out = [text for block in device.profile.blocks if (text := _harm(block, device))]
+    questions = list(_questions(bus, device))
+    parts: list[Part] = []
+    silent = 0
+    for question in questions:
+        parts.append(await question())
+        silent = silent + 1 if parts[-1].state is State.SILENT else 0
+        if silent == len(parts) or silent == _MOST_SILENT:
+            break
+    untried = len(questions) - len(parts)
+    if untried:
+        left_out.append(f"{untried} more, since it was silent")
+    return ProbeResult(device.name, tuple(parts), tuple(left_out))
 
 
-async def _read(bus: Bus, device: Device, block: Block) -> BlockRead:
+def _questions(bus: Bus, device: Device) -> Iterator[Callable[[], Awaitable[Part]]]:
+    for block in device.profile.blocks:
+        if not _harm(block, device):
+            yield partial(_ask_for_block, bus, device, block)
+    for inputs in device.profile.stamped:
+        for request in split(inputs.mei, inputs.address, inputs.count):
+            yield partial(_ask_for_inputs, bus, device, inputs, request)
+
+
+def _harm(block: Block, device: Device) -> str:
+    """Why a block is not asked for; empty where it may be.
+
+    Functions that a document describes change nothing; of those that a configuration declares only
+    it knows.
+    """
+    if isinstance(block.trigger, ClearOnRead):
+        return f"{_place(block, device)}, since a read clears it"
+    if block.packed and not block.repeatable:
+        return f"{_place(block, device)}, since a call may act: repeatable = true says it does not"
+    return ""
+
+
+async def _ask_for_block(bus: Bus, device: Device, block: Block) -> Part:
+    again = block.repeatable or not device.profile.dialect.has_functions
+    read = await _read(bus, device, block, again=again)
+    values = [] if read.decoded is None else read.decoded.values
+    texts = tuple(v.strip() for v in values if isinstance(v, str) and v.strip())
+    return Part(_place(block, device), read.state, read.problem, texts)
+
+
+async def _ask_for_inputs(
+    bus: Bus, device: Device, inputs: StampedInputs, request: ReadStamped
+) -> Part:
+    read = await _read_stamped(bus, device, inputs, request, again=True)
+    place = f"{read.table.replace('_', ' ')} {read.first} to {read.last}"
+    return Part(place, read.state, read.problem)
+
+
+async def _read(bus: Bus, device: Device, block: Block, *, again: bool = False) -> BlockRead:
+    """again: what was lost on the way is asked for again."""
     if isinstance(block.trigger, ClearOnRead):
         return BlockRead(block, (), None, "not read, since a read clears it: only `record` does")
+    tally = Tally()
+    ask = partial(read_words, block, device, bus, tally)
     try:
-        registers = await read_words(block, device, bus, Tally())
+        registers = await (_repeated(bus, ask) if again else ask())
     except ExceptionAnswer as refusal:
         text = await described(refusal, device.unit, bus, Tally(), device.profile.dialect)
-        return BlockRead(block, (), None, text, refused=is_refusal(refusal))
+        return BlockRead(block, (), None, text, _state(refusal))
     except DeviceError as error:
-        return BlockRead(block, (), None, str(error))
+        state = State.WRONG if tally.crc_errors else _state(error)
+        return BlockRead(block, (), None, str(error), state)
     return BlockRead(block, registers, decode(block, registers, device.word_order))
 
 
-def _place(block: Block) -> str:
-    if block.packed:
+async def _repeated(bus: Bus, ask: Callable[[], Awaitable[_T]]) -> _T:
+    """Raises as Bus.transact: the last error."""
+    for pause in (*_PAUSES, None):
+        try:
+            return await ask()
+        except (NoAnswer, WrongAnswer, LinkDown) as error:
+            if pause is None or not bus.openings:
+                raise
+            if isinstance(error, LinkDown):
+                await asyncio.sleep(pause)
+    raise AssertionError("the last attempt returns or raises")
+
+
+def _state(error: DeviceError) -> State:
+    if isinstance(error, ExceptionAnswer):
+        return State.REFUSES if is_refusal(error) else State.SILENT
+    return State.WRONG if isinstance(error, WrongAnswer) else State.SILENT
+
+
+def _place(block: Block, device: Device) -> str:
+    if device.profile.dialect.has_functions:
         return f"function {block.address} ({block.name})"
-    what = block.table.replace("_", " ")
-    return f"{what} {block.address} to {block.address + block.count - 1} ({block.name})"
+    end = f" to {block.address + block.count - 1}" if block.count > 1 else ""
+    return f"{block.table.replace('_', ' ')} {block.address}{end} ({block.name})"

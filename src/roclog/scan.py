@@ -28,6 +28,7 @@ import asyncio
 import socket
 from dataclasses import dataclass, replace
 from enum import Enum
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 from roclog.bus.tally import Tally
@@ -104,42 +105,58 @@ class Finding:
 class Scan:
     """One pass over the units of a connection; ``findings`` grow while it runs.
 
-    problem: why it ended before all units were asked. late_answers: dropped by their number.
-    stray_octets: on a line, beside the answers.
+    problem: why it ended before all units were asked. stray_octets: on a line, beside the answers.
     """
 
     def __init__(self, bus: Bus, units: Iterable[int], devices: Iterable[Device]) -> None:
         self.units = tuple(sorted(set(units)))
         self.findings: dict[int, Finding] = {}
         self.problem = ""
-        self.late_answers = self.stray_octets = 0
+        self.stray_octets = 0
         self._bus = bus
         self._bus.expects_silence = True
         self._devices = tuple(devices)
         self._is_line = bus.timing.framing is Framing.RTU
         self._was_open = False
+        self._silent_at = -inf
         self._losses = 0
 
-    async def run(self, progress: Callable[[int, int], None]) -> None:
-        """progress: is told how many questions are through, and how many there are.
+    async def run(self, progress: Callable[[str, int, int], None]) -> None:
+        """progress: is told what is being done, how much of it is through, and how much it is.
 
         Raises:
             LinkDown: the connection cannot be opened; nothing was sent.
         """
         try:
-            for count, unit in enumerate(self.units):
-                progress(count, len(self.units))
+            for count, unit in enumerate(self.units, start=1):
                 self.findings[unit] = await self._ask(unit)
+                progress("asking", count, len(self.units))
+            await self._wait_for_late_answers()
             unknown = self._unknown()
-            for count, unit in enumerate(unknown, start=len(self.units)):
-                progress(count, len(self.units) + len(unknown))
+            for count, unit in enumerate(unknown, start=1):
                 self.findings[unit] = await self._identified(self.findings[unit])
+                progress("identifying", count, len(unknown))
         except LinkDown as error:
             if not self._was_open:
                 raise
             self.problem = str(error)
         finally:
             self._bus.close()
+
+    @property
+    def late_units(self) -> list[int]:
+        """Over TCP and UDP, the units of answers that came too late, as often as they did."""
+        return self._bus.late_units
+
+    async def _wait_for_late_answers(self) -> None:
+        """Each unit's answer may come in the time-out of the next one; behind the last is none."""
+        left = self._silent_at + self._bus.timing.timeout / 1e9 - self._now()
+        if left > 0 and not self._is_line and self._bus.is_open:
+            await asyncio.sleep(left)
+
+    @staticmethod
+    def _now() -> float:
+        return asyncio.get_running_loop().time()
 
     @property
     def alike(self) -> frozenset[int]:
@@ -190,6 +207,7 @@ class Scan:
             return self._wrong(unit, error)
         except DeviceError as error:
             spoilt = tally.crc_errors or not tally.requests
+            self._silent_at = self._now()
             return Finding(unit, State.UNCLEAR if spoilt else State.SILENT, self._words(error))
         if roc is not None:
             return Finding(unit, State.ANSWERS, "identity", pdu, identity=_roc_text(roc, pdu))
@@ -199,7 +217,8 @@ class Scan:
     def _wrong(self, unit: int, error: WrongAnswer) -> Finding:
         """An intact answer of another kind. On a line it may be another unit's, which is late."""
         if not self._is_line:
-            return Finding(unit, State.ANSWERS, self._words(error), error.raw)
+            state = State.UNCLEAR if error.is_strange else State.ANSWERS
+            return Finding(unit, state, self._words(error), b"" if error.is_strange else error.raw)
         sender, pdu = error.raw[0], error.raw[1:-2]
         if sender == unit:
             return Finding(unit, State.ANSWERS, self._words(error), pdu)
@@ -265,7 +284,6 @@ class Scan:
 
     def _count_strays(self, tally: Tally) -> None:
         self.stray_octets += tally.discarded_octets if self._is_line else 0
-        self.late_answers += 0 if self._is_line else tally.late_answers
 
     def _count_loss(self, error: LinkDown, tally: Tally) -> None:
         """Raises the error where it is of no use to go on."""

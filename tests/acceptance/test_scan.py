@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -119,6 +120,30 @@ def test_the_table_and_the_talk(tmp_path: Path) -> None:
     assert f"line (rtu {tmp_path / 'client'}, {BAUD} Bd): asking 3 units, up to " in done.stderr
     assert "2 of 3 units answer" in done.stderr
     assert "configured and silent: roc7" in done.stderr
+
+
+def test_a_pipe_gets_answers_whole(tmp_path: Path) -> None:
+    """Also those that are none, as here."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        peer.bind(("127.0.0.1", 0))
+        config = tmp_path / "roclog.toml"
+        config.write_text(
+            '[connections.net]\ntransport = "udp"\nhost = "127.0.0.1"\n'
+            f"port = {peer.getsockname()[1]}\n"
+            '[devices.x]\nprofile = "hiac-roc"\nconnection = "net"\nunit = 1\n'
+        )
+        given = ("--units", "8-9", "--timeout", "5s")
+        command = [*ROCLOG, "scan", str(config), "--connection", "net", *given]
+        with Child(command, tmp_path / "scan") as child:
+            peer.settimeout(20)
+            for _ in range(4):  # each unit twice
+                request, address = peer.recvfrom(300)
+                peer.sendto(request[:2] + bytes(30), address)
+            assert child.wait() == 4
+    octets = " ".join(["00"] * 30)
+    assert f"not one answer (octets 00 02 {octets})" in child.said()
+    assert f"not one answer (octets 00 04 {octets})" in child.said()
+    assert "unclear and not counted: units 8-9; " in child.talk()
 
 
 def test_a_raised_flag_stays(tmp_path: Path) -> None:

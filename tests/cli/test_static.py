@@ -583,10 +583,20 @@ def test_a_refusal_is_not_silence(config: Path) -> None:
         "roclog: no device gave its data\n"
     )
     place = "holding registers 40317 to 40318 (oil)"
-    text = f"{place}: exception 2 (illegal data address) to function 3"
-    assert result.stdout.endswith(f"refuses     meter: {text}\n")
+    problem = "exception 2 (illegal data address) to function 3"
+    assert result.stdout.endswith(
+        f"refuses     meter: 0 of 1 blocks read\n              refuses: {place}: {problem}\n"
+    )
     assert json.loads(as_json.stdout)["probe"] == [
-        {"device": "meter", "ok": False, "refused": True, "text": text}
+        {
+            "device": "meter",
+            "state": "refuses",
+            "ok": False,
+            "refused": True,
+            "text": "0 of 1 blocks read",
+            "blocks": [{"place": place, "state": "refuses", "problem": problem}],
+            "not_asked": [],
+        }
     ]
 
 
@@ -598,7 +608,7 @@ def test_a_float32_is_read_with_its_own_digits(capsys: pytest.CaptureFixture[str
     )
     block = Block(name="b", table=Table.INPUT_REGISTERS, address=7, count=6, points=points)
     words = (0x4368, 0x9836, 0x4316, 0x0000, 0x7FC0, 0x0000)
-    _print_block(BlockRead(block, words, decode(block, words)), is_function=False)
+    _print_block(BlockRead(block, words, decode(block, words)), WordOrder.ABCD, is_function=False)
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["7", "4368", "9836", "voltage", "232.59457", "V"] in lines
     assert ["9", "4316", "0000", "scaled", "15.0"] in lines
@@ -618,7 +628,7 @@ def test_what_is_read_is_judged_in_words(capsys: pytest.CaptureFixture[str]) -> 
         name="b", table=Table.INPUT_REGISTERS, address=7, count=6, points=points, time=time
     )
     words = (0x0301, 0x7F80, 0x0000, 6, 0, 0)
-    _print_block(BlockRead(block, words, decode(block, words)), is_function=False)
+    _print_block(BlockRead(block, words, decode(block, words)), WordOrder.ABCD, is_function=False)
     text = " ".join(capsys.readouterr().out.split())  # however wide the terminal is
     assert "7 0301 state 769 running, mode 3" in text
     assert "8 7F80 0000 flow inf not plausible as float32." in text
@@ -642,7 +652,8 @@ def test_simulate_tcp_and_probe_it(number: int, config: Path) -> None:
     )
     result = invoke("check", config, "--probe", "--json")
     assert simulation.stop(number) == (0, "")
-    assert result.exit_code == 0
+    assert result.exit_code == 5
+    assert result.stderr.endswith("roclog: no data of gone\n")
     probes = json.loads(result.stdout)["probe"]
     assert [(probe["device"], probe["ok"]) for probe in probes] == [("roc1", True), ("gone", False)]
 
@@ -725,7 +736,7 @@ def test_simulate_an_analyser_and_read_it(transport: str, tmp_path: Path, config
     probed = invoke("check", config, "--probe")
     assert simulation.stop(signal.SIGTERM) == (0, "")
     assert result.exit_code == probed.exit_code == 0
-    assert re.search("^answers     basin: block relays was read$", probed.stdout, re.MULTILINE)
+    assert re.search("^answers     basin: 4 of 4 blocks read$", probed.stdout, re.MULTILINE)
     told: dict[str, dict[str, str]] = {}
     for row in csv.DictReader(truth.read_text().splitlines()):
         if int(row["answer"]) <= 4:
@@ -737,6 +748,50 @@ def test_simulate_an_analyser_and_read_it(transport: str, tmp_path: Path, config
         assert list(found) == list(values)
         for point, text in values.items():
             assert found[point] == (float(text) if text else None)
+
+
+def test_a_part_is_not_everything(config: Path) -> None:
+    """An analyser without the third channel: a script has to see it, and people what it is."""
+    simulation = Simulation("mpa-48:3", "--tcp", "127.0.0.1:0")
+    port = simulation.line.partition("127.0.0.1:")[2].split()[0]
+    config.write_text(
+        f"[connections.plant]\ntransport = 'tcp'\nhost = '127.0.0.1'\nport = {port}\n{ANALYSER}"
+    )
+    result = invoke("check", config, "--probe")
+    found = json.loads(invoke("check", config, "--probe", "--json").stdout)
+    assert simulation.stop(signal.SIGTERM) == (0, "")
+    assert (result.exit_code, result.stderr) == (5, "roclog: basin: only a part could be read\n")
+    problem = "exception 2 (illegal data address) to function 4"
+    assert result.stdout.endswith(
+        "partly      basin: 3 of 4 blocks read\n"
+        f"              refuses: input registers 40 to 42 (channel_3): {problem}\n"
+    )
+    (probe,) = found["probe"]
+    assert (probe["ok"], probe["state"]) == (False, "partly")
+    states = ["answers", "answers", "answers", "refuses"]
+    assert [block["state"] for block in probe["blocks"]] == states
+
+
+def test_check_shows_what_is_read_where(config: Path) -> None:
+    config.write_text(f"[connections.plant]\ntransport = 'tcp'\nhost = 'plant'\n{ANALYSER}")
+    lines = [line.strip() for line in invoke("check", config).stdout.splitlines()]
+    assert lines[5:9] == [
+        "reads coils 0 to 7 (relays), every 1s: Relay states, coils 0-7",
+        (
+            "reads input registers 0 to 2 (channel_1), every 1s: Channel 1: model-52, "
+            "oxidation-reduction potential"
+        ),
+        (
+            "reads input registers 3 to 5 (channel_2), every 1s: Channel 2: model-10, "
+            "optical dissolved oxygen"
+        ),
+        (
+            "reads input registers 40 to 42 (channel_3), every 1s: Channel 3: model-15, "
+            "suspended solids"
+        ),
+    ]
+    (device,) = json.loads(invoke("check", config, "--json").stdout)["devices"]
+    assert [block["address"] for block in device["blocks"]] == [0, 0, 3, 40]
 
 
 def test_profile_of_an_analyser() -> None:

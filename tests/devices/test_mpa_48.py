@@ -118,3 +118,22 @@ def test_all_mistakes_at_once() -> None:
     with pytest.raises(RegisterMapError) as caught:
         mpa_48({"channel_3": "model-16", "x": "model-15"}, {"channel_9": -1})
     assert len(caught.value.problems) == 5
+
+
+@pytest.mark.parametrize(
+    ("addresses", "problem"),
+    [
+        ({"channel_3": 6, "channel_4": 8}, "channel_4: registers 8 to 10 overlap those of"),
+        (
+            {"channel_3": 2, "channel_4": 9},
+            "channel_3: registers 2 to 4 overlap those of channel_1",
+        ),
+        ({"channel_1": 3, "channel_3": 6, "channel_4": 9}, "channel_1: registers 3 to 5 overlap"),
+    ],
+)
+def test_channels_share_no_register(addresses: dict[str, int], problem: str) -> None:
+    sensors = dict.fromkeys(["channel_1", "channel_2", "channel_3", "channel_4"], "model-10")
+    with pytest.raises(RegisterMapError, match=problem) as caught:
+        mpa_48(sensors, addresses)
+    assert len(caught.value.problems) == (2 if addresses["channel_3"] == 2 else 1)
+    assert mpa_48(sensors, {"channel_3": 6, "channel_4": 9})

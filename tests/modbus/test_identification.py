@@ -113,6 +113,7 @@ def test_texts() -> None:
     assert server_text(server_id(SERVER_ID)) == "PM710PowerMeter"
     assert server_text(b"\x07\xff") == "07 ff"
     assert server_text(b"") == ""
+    assert server_text(b"\x42\xff\x1b[31mMETER\x07\n") == "\\x1b[31mMETER\\x07"
     found, following = objects(IDENTIFICATION)
     assert found == {0: "Schneider Electric", 1: "PM710", 2: "v03.110"}
     assert following is None

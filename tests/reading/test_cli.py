@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import mcapfiles as files
@@ -46,6 +47,20 @@ def test_info_as_text_and_as_json(good: Path) -> None:
     assert {c["topic"]: c["count"] for c in found["channels"]}["/roc1/sample"] == 3
     assert found["devices"]["roc1"]["identity"]["manufacturer"] == "HIAC"
     assert found["events"] == [{"device": "roc1", "kind": "baseline", "level": "info", "count": 1}]
+
+
+def test_info_shows_every_message_type_of_a_channel(tmp_path: Path) -> None:
+    """A channel of an analyser that got another sensor between two runs."""
+    other = files.message_class("roclog.test_device.Other", "state 1 fixed32")
+    topics = (replace(files.TOPICS[1], kind=other),)
+    item = files.Item("/roc1/sample", T0 + SECOND, other(state=3).SerializeToString())
+    files.write_sealed(tmp_path / "a.mcap", GOOD)
+    files.write_sealed(tmp_path / "b.mcap", [item], topics=topics, metadata=files.facts(number=2))
+    text = run("info", tmp_path).stdout
+    assert "roclog.test_device.Sample, roclog.test_device.Other" in text
+    found = json.loads(run("info", tmp_path, "--json").stdout)["channels"]
+    (types,) = (c["message_types"] for c in found if c["topic"] == "/roc1/sample")
+    assert types == ["roclog.test_device.Sample", "roclog.test_device.Other"]
 
 
 def test_info_tells_of_gaps_copies_conflicts_and_damage(tmp_path: Path) -> None:

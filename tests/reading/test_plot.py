@@ -146,6 +146,43 @@ def test_what_the_first_sample_has_not_is_drawn_from_the_others() -> None:
     assert str(list(panels[0].lines["flow"])) == "[nan, 3.0]"
 
 
+def test_what_comes_up_later_is_drawn_from_then_on() -> None:
+    """A channel that got another sensor, a message type that got another field."""
+    samples = [read("a", "b", orp=1.0), read("a", "b", ph=7.0, count_1=2.0)]
+    samples += [read("a", "b", ph=7.5, count_1=3.0, count_2=4.0)]
+    channels = {"/a/b": channel("a", "b", {"orp": "mV", "ph": "[pH]", "count_1": "1/mL"})}
+    channels["/a/b"].units["count_2"] = "1/mL"  # type: ignore[index]
+    panels, _ = _gather(samples, channels)
+    found = {panel.key[0]: {n: str(list(v)) for n, v in panel.lines.items()} for panel in panels}
+    assert found == {
+        "count": {"count_1": "[2.0, 3.0]", "count_2": "[nan, 4.0]"},
+        "orp": {"orp": "[1.0, nan, nan]"},
+        "ph": {"ph": "[7.0, 7.5]"},
+    }
+
+
+def test_a_decimal_without_unit_that_was_missing_at_first() -> None:
+    first = read("a", "b", oil=40.0)
+    first.values["iso_4"] = None
+    channels = {"/a/b": channel("a", "b", {"oil": "Cel"})}
+    panels, _ = _gather([first, read("a", "b", oil=41.0, iso_4=19.2)], channels)
+    assert [panel.key[0] for panel in panels] == ["iso", "oil"]
+
+
+def test_panels_of_one_quantity_say_of_which_block_they_are() -> None:
+    units = {"dissolved_oxygen": "[ppm]", "orp": "mV"}
+    channels = {f"/a/channel_{n}": channel("a", f"channel_{n}", units) for n in (1, 2)}
+    samples = [read("a", f"channel_{n}", dissolved_oxygen=8.0) for n in (2, 1)]
+    panels, _ = _gather([*samples, read("a", "channel_2", orp=1.0)], channels)
+    assert [panel.label for panel in panels] == [
+        "channel 1\ndissolved oxygen\n(ppm)",
+        "channel 2\ndissolved oxygen\n(ppm)",
+        "orp\n(mV)",
+    ]
+    panels, _ = _gather(samples[:1], channels)
+    assert panels[0].label == "dissolved oxygen\n(ppm)"
+
+
 def test_a_column_for_each_device_those_alike_side_by_side() -> None:
     units = {"/a/b": "bar", "/m/b": "V", "/z/b": "bar"}
     channels = {topic: channel(topic[1], "b", {"x": unit}) for topic, unit in units.items()}

@@ -49,7 +49,7 @@ points = [{ name = "rate", offset = 0, type = "uint16" }]
 """
 
 
-def nobody(_done: int, _total: int) -> None:
+def nobody(_what: str, _done: int, _total: int) -> None:
     """No progress bar."""
 
 
@@ -269,9 +269,19 @@ def test_answers_that_come_too_late_over_tcp_are_counted() -> None:
 
     one, _, _ = scan(TCP, (1, 2), prepare)
     assert states(one)[1] is State.SILENT
-    assert one.late_answers == 0  # unit 2 had answered before
+    assert one.late_units == [1]  # unit 2 had answered before
     one, _, _ = scan(TCP, (1, 3), _both_late)
-    assert one.late_answers == 1
+    assert one.late_units == [1, 3]
+
+
+@pytest.mark.parametrize("timing", [TCP, replace(TCP, framing=Framing.MBAP_DATAGRAM)])
+def test_a_late_answer_of_the_last_unit_is_waited_for(timing: Timing) -> None:
+    one, _, took = scan(timing, (7,), _both_late)
+    assert states(one) == {7: State.SILENT}
+    assert one.late_units == [7]
+    assert took == pytest.approx(2 * TCP.timeout, abs=10 * MS)
+    _, _, took = scan(timing, (7,), lambda link: server(link, lambda *_: ILLEGAL_FUNCTION))
+    assert took < TCP.timeout
 
 
 def _both_late(link: FakeLink) -> None:
@@ -280,15 +290,47 @@ def _both_late(link: FakeLink) -> None:
     )
 
 
-def test_an_answer_as_another_unit_counts_over_tcp() -> None:
+def test_an_answer_of_another_unit_is_unclear_over_tcp() -> None:
     def prepare(link: FakeLink) -> None:
         link.on_send = lambda adu: link.say(
             mbap_frame(int.from_bytes(adu[:2]), 1, ILLEGAL_FUNCTION), 5 * MS
         )
 
     one, _, _ = scan(TCP, (4,), prepare)
-    assert states(one) == {4: State.ANSWERS}
+    assert states(one) == {4: State.UNCLEAR}
     assert one.findings[4].answer.startswith("asked unit 4, unit 1 answered")
+
+
+def test_a_damaged_datagram_is_unclear() -> None:
+    def prepare(link: FakeLink) -> None:
+        link.on_send = lambda adu: link.say(
+            mbap_frame(int.from_bytes(adu[:2]), adu[6], METER)[:-4], 5 * MS
+        )
+
+    one, _, _ = scan(replace(TCP, framing=Framing.MBAP_DATAGRAM), (4,), prepare)
+    assert states(one) == {4: State.UNCLEAR}
+    assert "that is not one answer" in one.findings[4].answer
+    assert one.findings[4].pdu == b""
+
+
+def test_an_answer_of_another_kind_counts_over_tcp() -> None:
+    one, _, _ = scan(TCP, (4,), lambda link: server(link, lambda *_: b"\x03\x02\x12\x34"))
+    assert states(one) == {4: State.ANSWERS}
+
+
+def test_progress_never_goes_back() -> None:
+    told: list[tuple[str, int, int]] = []
+
+    async def main() -> None:
+        link, bus = make(RTU)
+        line(link, {(unit, 17): ILLEGAL_FUNCTION for unit in range(1, 6)})
+        await Scan(bus, range(1, 8), []).run(lambda *what: told.append(what))
+
+    run(main())
+    assert told == [
+        *(("asking", n, 7) for n in range(1, 8)),
+        *(("identifying", n, 5) for n in range(1, 6)),
+    ]
 
 
 @pytest.mark.parametrize("timing", [RTU, TCP, replace(TCP, framing=Framing.MBAP_DATAGRAM)])
@@ -351,7 +393,7 @@ def test_silence_does_not_open_a_connection_anew(monkeypatch: pytest.MonkeyPatch
     one, link, took = scan(TCP, range(1, 21), lambda _: None)
     assert set(states(one).values()) == {State.SILENT}
     assert len(link.opened) == 1
-    assert abs(took - 20 * TCP.timeout) < 10 * MS
+    assert abs(took - 21 * TCP.timeout) < 10 * MS  # the last one's answer may be late
 
 
 def test_what_is_asked_where(tmp_path: Path) -> None:

@@ -73,6 +73,7 @@ class Bus:
     devices: how many share the connection. failing: names of those that do not answer at present.
     on_open: called each time the link was opened. openings: how often that was.
     expects_silence: many units are asked that are not there, which tells nothing of the connection.
+    late_units: then, with TCP and UDP, of whom an answer came too late.
     """
 
     def __init__(
@@ -88,6 +89,7 @@ class Bus:
         self.devices = devices
         self.failing: set[str] = set()
         self.expects_silence = False
+        self.late_units: list[int] = []
         self.echo = Echo.UNKNOWN
         self._clock = clock
         self._permitted = permitted
@@ -302,6 +304,7 @@ class Bus:
             tally.discarded_octets += len(exchange.leftover)
         elif exchange is not None:
             tally.late_answers += exchange.stale
+            self._note_late(exchange.stale_units)
         tally.discarded_octets += self._stray
         tally.late_answers += self._stale
         tally.link_losses += self._losses
@@ -358,15 +361,22 @@ class Bus:
     def _discard(self, octets: bytes) -> None:
         """Nobody waits for this: noise on a serial line, late answers and copies with MBAP."""
         framing, dialect = self.timing.framing, self.timing.dialect
-        if framing is Framing.MBAP_DATAGRAM and whole_frame(octets, dialect) is not None:
+        frame = whole_frame(octets, dialect) if framing is Framing.MBAP_DATAGRAM else None
+        if frame is not None:
             self._stale += 1
+            self._note_late([frame.unit])
             return
         if framing is not Framing.MBAP_STREAM:
             self._stray += len(octets)
             return
         self._stream.receive(octets)
-        while self._stream.next_frame() is not None:
+        while (frame := self._stream.next_frame()) is not None:
             self._stale += 1
+            self._note_late([frame.unit])
+
+    def _note_late(self, units: list[int]) -> None:
+        if self.expects_silence:
+            self.late_units += units
 
     def _lost(self, reason: str) -> None:
         self._opened = False

@@ -178,8 +178,9 @@ def cli(*, debug: bool) -> None:
     Without hardware and configuration:
       roclog demo
 
-    Exit codes: 0 done, 1 unexpected error, 2 usage, 3 configuration, 4 no device answered,
-    5 damage or gaps found, 6 storage.
+    Exit codes: 0 done, 1 unexpected error or a device that does not do what it is told, 2 usage,
+    3 configuration, 4 no device answered, 5 damage or gaps found or not everything answered,
+    6 storage.
     """
     del debug
 

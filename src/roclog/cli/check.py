@@ -12,13 +12,17 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
+from roclog.cli import output
 from roclog.config import BusLoad, bus_loads, load, warnings
 from roclog.errors import ConfigError, DeviceError, Problem, StorageError
 from roclog.quantities import format_duration
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from roclog.config import Connection, Device, RecordingSettings, Settings
     from roclog.probe import ProbeResult
+    from roclog.register_map import Block
 
 _BUSY: Final = 0.8
 """Share of the time above which polls begin to wait for each other."""
@@ -37,11 +41,13 @@ class Place:
 @click.argument("config", type=click.Path(path_type=Path))
 @click.option("--probe", is_flag=True, help="Contact every device, read only.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
-def check(config: Path, *, probe: bool, as_json: bool) -> None:
+@click.pass_context
+def check(context: click.Context, config: Path, *, probe: bool, as_json: bool) -> None:
     """Validate CONFIG and show what will be recorded.
 
     All problems are reported at once, each with its key. Exit code 3: the configuration cannot be
-    used; 6: the recording directory cannot; 4: with --probe, no device answered.
+    used; 6: the recording directory cannot. With --probe 4: a device gave nothing of its data;
+    5: a device gave only a part.
 
     \b
     Example:
@@ -68,14 +74,39 @@ def check(config: Path, *, probe: bool, as_json: bool) -> None:
         click.echo(json.dumps(_as_object(settings, loads, place, doubts, results)))
     else:
         for result in results or ():
-            text = result.text if result.text.isprintable() else ascii(result.text)
-            word = "answers" if result.ok else "refuses" if result.refused else "silent"
-            click.echo(f"{word:12}{result.device}: {text}")
+            for line in _probe_lines(result):
+                click.echo(output.printable(line))
     if place.problem:
         raise StorageError(settings.recording.directory, place.problem)
-    if results is not None and not any(result.ok for result in results):
-        refused = any(result.refused for result in results)
-        raise DeviceError("no device gave its data" if refused else "no device answered")
+    _judge(context, results or [])
+
+
+def _probe_lines(result: ProbeResult) -> Iterator[str]:
+    yield f"{result.state:12}{result.device}: {result.text}"
+    for part in result.problems:
+        yield f"{'':14}{part.state}: {part.place}: {part.problem}"
+    for text in result.left_out:
+        yield f"{'':14}not asked: {text}"
+
+
+def _judge(context: click.Context, results: list[ProbeResult]) -> None:
+    """Raises DeviceError where no device gave anything; exits where something is missing."""
+    asked = [result for result in results if result.state != "not asked"]
+    mute = [result for result in asked if result.state not in ("answers", "partly")]
+    if results and len(mute) == len(asked):
+        is_silent = bool(mute) and all(result.state == "silent" for result in mute)
+        raise DeviceError("no device answered" if is_silent else "no device gave its data")
+    partly = [result for result in results if result.state == "partly"]
+    if mute:
+        output.tell(f"no data of {_names(mute)}")
+    if partly:
+        output.tell(f"{_names(partly)}: only a part could be read")
+    if mute or partly:
+        context.exit(output.DAMAGED)
+
+
+def _names(results: list[ProbeResult]) -> str:
+    return ", ".join(result.device for result in results)
 
 
 def _probe(settings: Settings) -> list[ProbeResult]:
@@ -147,7 +178,7 @@ def _description(settings: Settings, loads: list[BusLoad], place: Place) -> list
     lines += [f"{'connection':12}{_connection(c)}" for c in settings.connections.values()]
     for device in settings.devices.values():
         lines.append(f"{'device':12}{_device(device)}")
-        lines += [f"{'':14}{call}" for call in _calls(device)]
+        lines += [f"{'':14}{what}" for what in _samples(device)]
     for bus in loads:
         lines.append(f"{'bus load':12}{bus.connection}: {bus.expected:.1%}")
         lines += [f"{'':14}{term}" for term in _terms(bus)]
@@ -201,15 +232,20 @@ def _device(device: Device) -> str:
     )
 
 
-def _calls(device: Device) -> list[str]:
-    """Where a register is a function, what will be called: a call may act."""
-    if not device.profile.dialect.has_functions:
-        return []
+def _samples(device: Device) -> list[str]:
+    """What will be read, and where. Where a register is a function it is called, which may act."""
     return [
-        f"calls function {block.address} ({block.name}), {block.octets} octets, "
-        f"every {format_duration(block.period or device.poll)}"
+        f"{_asked_for(device, block)}, every {format_duration(block.period or device.poll)}"
+        + (f": {block.title}" if block.title else "")
         for block in device.profile.samples
     ]
+
+
+def _asked_for(device: Device, block: Block) -> str:
+    if device.profile.dialect.has_functions:
+        return f"calls function {block.address} ({block.name}), {block.octets} octets"
+    end = f" to {block.address + block.count - 1}" if block.count > 1 else ""
+    return f"reads {block.table.replace('_', ' ')} {block.address}{end} ({block.name})"
 
 
 def _terms(bus: BusLoad) -> list[str]:
@@ -263,11 +299,22 @@ def _as_object(
             {"connection": bus.connection, "expected": bus.expected, "least": bus.least}
             for bus in loads
         ],
-        "probe": None
-        if results is None
-        else [
-            {"device": r.device, "ok": r.ok, "refused": r.refused, "text": r.text} for r in results
+        "probe": None if results is None else [_probe_object(result) for result in results],
+    }
+
+
+def _probe_object(result: ProbeResult) -> dict[str, object]:
+    return {
+        "device": result.device,
+        "state": result.state,
+        "ok": result.state == "answers",
+        "refused": result.state == "refuses",
+        "text": result.text,
+        "blocks": [
+            {"place": part.place, "state": part.state, "problem": part.problem}
+            for part in result.parts
         ],
+        "not_asked": list(result.left_out),
     }
 
 
@@ -293,4 +340,14 @@ def _device_object(device: Device) -> dict[str, object]:
         "cycle_ns": device.cycle,
         "word_order": device.word_order.value,
         "acknowledge": device.acknowledge,
+        "blocks": [
+            {
+                "name": block.name,
+                "title": block.title,
+                "table": block.table.value,
+                "address": block.address,
+                "count": block.count,
+            }
+            for block in device.profile.samples
+        ],
     }

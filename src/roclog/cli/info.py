@@ -66,7 +66,7 @@ def _print_counts(found: Info) -> None:
             str(found.channels[topic].count) if topic in found.channels else "0",
             output.instant(found.channels[topic].first) if topic in found.channels else "",
             output.instant(found.channels[topic].last) if topic in found.channels else "",
-            channel.problem or channel.schema,
+            channel.problem or ", ".join(channel.schemas),
         )
         for topic, channel in sorted(found.recording.channels.items())
     ]

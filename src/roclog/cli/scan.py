@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _LONG: Final = 30 * 10**9
 _SILENCE: Final = {"silent": "none", "absent": "none, says the gateway"}
 _WIDEST: Final = 48
-"""Characters of an answer in the table."""
+"""Characters of an answer in the table on a terminal."""
 
 
 @click.command()
@@ -155,8 +155,8 @@ def _rough(nanoseconds: int) -> str:
 
 
 @contextmanager
-def _progress(one: Scan) -> Iterator[Callable[[int, int], None]]:
-    """A bar on stderr if that is a terminal."""
+def _progress(one: Scan) -> Iterator[Callable[[str, int, int], None]]:
+    """A bar on stderr for each thing that is done, if that is a terminal."""
     if not sys.stderr.isatty():
         yield lambda *_: None
         return
@@ -164,11 +164,14 @@ def _progress(one: Scan) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import Progress  # noqa: PLC0415
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("asking", total=None)
+        tasks = {"asking": bar.add_task("asking", total=len(one.units))}
 
-        def show(done: int, total: int) -> None:
+        def show(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=total)
             found = sum(finding.is_there for finding in one.findings.values())
-            bar.update(task, completed=done, total=total, description=f"{found} found")
+            text = f"{what}, {found} found" if what == "asking" else what
+            bar.update(tasks[what], completed=done, description=text)
 
         yield show
 
@@ -197,7 +200,10 @@ def _rows(one: Scan) -> list[tuple[str, str, str, str]]:
 
 
 def _short(text: str) -> str:
-    return text if len(text) <= _WIDEST else text[: _WIDEST - 4] + " ..."
+    """On a terminal only: whoever reads a pipe wants it whole."""
+    if len(text) <= _WIDEST or not sys.stdout.isatty():
+        return text
+    return text[: _WIDEST - 4] + " ..."
 
 
 def _found(one: Scan) -> list[Finding]:
@@ -229,6 +235,10 @@ def _remarks(one: Scan) -> Iterator[str]:
             f"{len(one.alike)} units say exactly the same: probably one device that answers "
             "whatever unit it is asked for"
         )
+    unclear = [finding.unit for finding in findings if finding.state is State.UNCLEAR]
+    if unclear:
+        who = f"unit{'s' * (len(unclear) != 1)} {_ranges(sorted(unclear))}"
+        yield f"unclear and not counted: {who}; what came is no whole answer of the unit asked"
     absent = sum(finding.state is State.ABSENT for finding in findings)
     if absent:
         yield f"{absent} units are not there, says the gateway"
@@ -238,8 +248,13 @@ def _remarks(one: Scan) -> Iterator[str]:
             f"configured and silent: {', '.join(missing)}; `roclog check --probe` asks for the "
             "registers of every device"
         )
-    if one.late_answers:
-        yield f"answers that came too late: {one.late_answers}; a longer --timeout may find more"
+    if one.late_units:
+        late = sorted(set(one.late_units))
+        who = f"unit{'s' * (len(late) != 1)} {_ranges(late)}"
+        yield (
+            f"answers that came too late: {len(one.late_units)}, of {who}; a longer --timeout may "
+            "find more"
+        )
     if one.stray_octets:
         yield (
             f"octets beside the answers: {one.stray_octets}; noise, or a longer --timeout is needed"
@@ -256,7 +271,8 @@ def _as_object(one: Scan, connection: Connection) -> dict[str, object]:
         "timeout_ns": connection.timeout,
         "problem": one.problem,
         "asked": sorted(one.findings),
-        "late_answers": one.late_answers,
+        "late_answers": len(one.late_units),
+        "late_units": sorted(set(one.late_units)),
         "stray_octets": one.stray_octets,
         "units": [
             {

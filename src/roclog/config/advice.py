@@ -7,7 +7,7 @@ import os
 import re
 import stat
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -36,6 +36,8 @@ _LABELS: Final = {
     Table.HOLDING_REGISTERS: range(40_001, 50_000),
 }
 """What manuals that count from 1 call the addresses of a table; addresses in their own right."""
+_ADDRESS_KEYS: Final = {"registers": "blocks", "mpa-48": "addresses"}
+"""By profile, the key in which users write addresses."""
 _BY_ID: Final = Path("/dev/serial/by-id")
 _NUMBERED: Final = re.compile(r"/dev/tty(USB|ACM)\d+")
 """Names that the system gives out in the order of plugging in."""
@@ -122,11 +124,30 @@ def warnings(settings: Settings) -> list[Problem]:
             Problem(f"devices.{device.name}.functions", text)
             for text in _repeat_warnings(device, timeout)
         ]
-        key = f"devices.{device.name}.blocks"
+        key = f"devices.{device.name}.{_ADDRESS_KEYS.get(device.profile.name, 'blocks')}"
         found += [Problem(key, text) for text in _label_warnings(device)]
+        key = f"devices.{device.name}.blocks"
+        found += [Problem(key, text) for text in _payload_warnings(device)]
         key = f"devices.{device.name}.profile"
         found += [Problem(key, text) for text in _profile_warnings(device)]
-    return found
+    return [*found, *_twin_warnings(settings)]
+
+
+def _twin_warnings(settings: Settings) -> Iterator[Problem]:
+    """Devices that read the same of one unit. Those with a flag are judged where they clear it."""
+    for one, other in combinations(settings.devices.values(), 2):
+        same_unit = (one.connection, one.unit) == (other.connection, other.unit)
+        if not same_unit or one.profile.flagged or other.profile.flagged:
+            continue
+        known = {(block.table, block.address) for block in one.profile.samples}
+        both = [b.name for b in other.profile.samples if (b.table, b.address) in known]
+        if both:
+            yield Problem(
+                f"devices.{other.name}.unit",
+                f"{other.unit} is the unit of device {shown(one.name)} on the same connection, and "
+                f"both read {both[0]}: one device is asked twice; where there are two, "
+                "each needs its own unit",
+            )
 
 
 def _file_warnings(settings: Settings) -> Iterator[Problem]:
@@ -202,7 +223,7 @@ def _profile_warnings(device: Device) -> Iterator[str]:
 
 
 def _label_warnings(device: Device) -> Iterator[str]:
-    for block in device.profile.blocks if device.profile.name == "registers" else ():
+    for block in device.profile.blocks if device.profile.name in _ADDRESS_KEYS else ():
         labels = _LABELS.get(block.table, range(0))
         if block.address in labels:
             index, table = labels.index(block.address), block.table
@@ -210,6 +231,17 @@ def _label_warnings(device: Device) -> Iterator[str]:
                 f"{block.name}: address {block.address} is asked for as it is; a manual that "
                 f"counts {table.replace('_', ' ')} from {labels.start} means address {index}"
             )
+
+
+def _payload_warnings(device: Device) -> Iterator[str]:
+    block = device.profile.flagged
+    if block is None or block.handshake is None or not block.handshake.is_assumed:
+        return
+    if len(block.points) > 1:
+        yield (
+            f"{block.name}: a change of any point is a sample, also while the flag is down; name "
+            "in payload the points of the trigger that change with a new sample only"
+        )
 
 
 def _poll_warnings(device: Device) -> Iterator[str]:

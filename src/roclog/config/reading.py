@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import stat
 import tomllib
-from difflib import get_close_matches
+from difflib import SequenceMatcher, get_close_matches
 from enum import Enum
 from typing import (
     TYPE_CHECKING,
@@ -24,7 +24,7 @@ from msgspec import UNSET, Struct, UnsetType
 from msgspec.structs import fields
 
 from roclog.config.leaves import NAME, parse_leaf, printable, shown
-from roclog.config.synonyms import OTHERS_SAY
+from roclog.config.synonyms import OTHERS_SAY, explanation
 from roclog.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -50,6 +50,10 @@ class Problems:
     def at(self, key: str) -> bool:
         """Whether something is wrong with this key; what depends on it is not judged then."""
         return any(problem.key == key for problem in self.found)
+
+    def below(self, key: str) -> bool:
+        """Whether something is wrong with this key or in what it holds."""
+        return any(f"{p.key}.".startswith((f"{key}.", f"{key}[")) for p in self.found)
 
     def unknown_keys(self, key: str, table: Iterable[str], allowed: Collection[str]) -> None:
         for name in table:
@@ -107,9 +111,19 @@ def joined(key: str, name: str) -> str:
 def suggestion(word: str, known: Iterable[str]) -> str:
     """``, did you mean "..."?`` where a known word is close or means the same, else nothing."""
     folded = {name.lower(): name for name in known}
+    told = explanation(word.lower(), folded)
+    if told:
+        return f"; {told}"
     same = OTHERS_SAY.get(word.lower())
-    close = [same] if same in folded else get_close_matches(word.lower(), list(folded), n=1)
+    close = [same] if same in folded else _closest(word.lower(), list(folded))
     return f', did you mean "{folded[close[0]]}"?' if close else ""
+
+
+def _closest(word: str, known: list[str]) -> list[str]:
+    """None where two are equally close: that would be a guess."""
+    close = get_close_matches(word, known, n=2)
+    likeness = [SequenceMatcher(None, name, word).ratio() for name in close]
+    return [] if len(close) == 2 and likeness[0] == likeness[1] else close[:1]
 
 
 def named_tables(file: dict[str, Any], key: str, problems: Problems) -> Iterator[tuple[str, Any]]:
@@ -148,7 +162,9 @@ def read_table(kind: type[Table], value: object, key: str, problems: Problems) -
             elif field.required:
                 problems.add(joined(key, name), f"missing, needed is {_needed(_plain(field.type))}")
     else:
-        problems.add(key, f"{shown(value)} is not a table")
+        example = getattr(kind, "EXAMPLE", "")
+        like = f", needed is one like {example}" if example else ""
+        problems.add(key, f"{shown(value)} is not a table{like}")
     return kind(**{field.name: found.get(field.name, UNSET) for field in allowed.values()})
 
 
@@ -161,6 +177,9 @@ def _read_value(kind: Any, value: object, key: str, problems: Problems) -> objec
         return _read_tables(member, value, _title(plain), key, problems)
     if _names_texts(plain) and isinstance(value, dict):
         return _read_texts(value, plain, key, problems)
+    single = _single(plain, value)
+    if single is not None:
+        return _read_singles(value, single, key, problems)
     try:
         return msgspec.convert(value, plain, dec_hook=parse_leaf)
     except msgspec.ValidationError as error:
@@ -187,8 +206,36 @@ def _read_texts(value: dict[str, Any], kind: Any, key: str, problems: Problems) 
     wrong = [name for name, text in value.items() if not isinstance(text, str)]
     for name in wrong:
         text = f"{shown(value[name])} is not a text in quotes, needed is {_title(kind)}"
+        if isinstance(value[name], dict):  # TOML takes -9999.0 for a table -9999 with a key 0
+            dotted = shown(f"{name}.{next(iter(value[name]), '')}")
+            text = f"a key with a dot is written in quotes, {dotted} = ..."
         problems.add(joined(key, name), text)
     return UNSET if wrong else value
+
+
+def _single(kind: Any, value: object) -> Any | None:
+    """What an array or a table holds, where the value is one and it is known what to call that."""
+    inner = kind.__origin__
+    if get_origin(inner) not in (dict, list) or not isinstance(value, get_origin(inner)):
+        return None
+    member = get_args(inner)[-1]
+    return member if get_origin(member) is Annotated and _title(member) else None
+
+
+def _read_singles(value: Any, kind: Any, key: str, problems: Problems) -> object:
+    """Each one that is wrong is told by its own key."""
+    named = isinstance(value, dict)
+    pairs = value.items() if named else enumerate(value)
+    found: dict[Any, Any] = {}
+    for name, item in pairs:
+        try:
+            found[name] = msgspec.convert(item, kind, dec_hook=parse_leaf)
+        except msgspec.ValidationError as error:
+            place = joined(key, str(name)) if named else f"{key}[{name}]"
+            problems.add(place, _refusal(kind, item, error))
+    if len(found) < len(value):
+        return UNSET
+    return found if named else list(found.values())
 
 
 def _struct_of_list(kind: Any) -> type[Struct] | None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 from decimal import Decimal
+from itertools import combinations
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -37,6 +38,8 @@ CHANNELS: Final[Mapping[str, int]] = MappingProxyType({"channel_1": 0, "channel_
 """Input register of the status, by channel, where it is known."""
 _CHANNEL: Final = re.compile(r"channel_[1-9][0-9]?")
 _RELAYS: Final = 8
+_REGISTERS: Final = 3
+"""Of a channel: the status and two measurements."""
 _HUNDREDTH: Final = Decimal("0.01")
 _TENTH: Final = Decimal("0.1")
 _VALID: Final = ValidWhen(point="status", values=(0,))
@@ -75,7 +78,9 @@ SENSORS: Final[Mapping[str, Sensor]] = MappingProxyType(
         "model-52": Sensor("oxidation-reduction potential", "sensor error", (_ORP,)),
     }
 )
-"""By model; Model 15L is a Model 15."""
+"""By model."""
+_SAME_AS: Final[Mapping[str, str]] = MappingProxyType({"model-15L": "model-15"})
+"""The table of the manual has "15, 15L" in one row."""
 
 RELAYS: Final = Block(
     name="relays",
@@ -102,7 +107,9 @@ def mpa_48(sensors: Mapping[str, str], addresses: Mapping[str, int] | None = Non
     """
     given = addresses or {}
     places = {**CHANNELS, **given}
-    problems = [text for _, text in find_problems(sensors, given)]
+    problems = [
+        f"{channel or table}: {text}" for table, channel, text in find_problems(sensors, given)
+    ]
     if problems:
         raise RegisterMapError("mpa-48", problems)
     return _register_map(_channel(name, sensors[name], places[name]) for name in sensors)
@@ -123,25 +130,52 @@ def _register_map(channels: Iterable[Block], notes: tuple[str, ...] = ()) -> Reg
 
 def find_problems(
     sensors: Mapping[str, str], addresses: Mapping[str, int]
-) -> Iterator[tuple[str, str]]:
-    """(channel, what is wrong with it); the channel is empty where there is none."""
+) -> Iterator[tuple[str, str, str]]:
+    """(sensors or addresses, channel, what is wrong); the channel is empty where there is none."""
     if not sensors:
-        yield "", 'sensors: none; give the model on each channel, like channel_1 = "model-15"'
+        yield "sensors", "", 'none; give the model on each channel, like channel_1 = "model-15"'
     for name, model in sensors.items():
         if not _CHANNEL.fullmatch(name):
-            yield name, f"{name}: is not a channel: channel_1 to channel_99"
+            yield "sensors", name, "is not a channel: channel_1 to channel_99"
         elif name not in CHANNELS and name not in addresses:
-            yield name, f"{name}: its address is not documented and must be given"
-        if model not in SENSORS:
-            yield name, f"{name}: {model!r} is not one of {', '.join(SENSORS)}"
+            text = (
+                f"its address is not documented and must be given: addresses = {{ {name} = ... }}"
+            )
+            yield "sensors", name, text
+        if model not in SENSORS and model not in _SAME_AS:
+            models = ", ".join([*SENSORS, *_SAME_AS])
+            yield "sensors", name, f"{model!r} is not one of {models}"
     for name, address in addresses.items():
         if name not in sensors:
-            yield name, f"{name}: has an address, but no sensor"
+            yield "addresses", name, "has an address, but no sensor"
         if not 0 <= address <= 65533:
-            yield name, f"{name}: registers {address} to {address + 2} do not exist"
+            yield "addresses", name, f"registers {address} to {address + 2} do not exist"
+    yield from _find_overlaps(sensors, addresses)
 
 
-def _channel(name: str, model: str, address: int) -> Block:
+def _find_overlaps(
+    sensors: Mapping[str, str], addresses: Mapping[str, int]
+) -> Iterator[tuple[str, str, str]]:
+    places = {**CHANNELS, **addresses}
+    there = [name for name in sensors if name in places]
+    for pair in combinations(there, 2):
+        one, other = sorted(pair, key=lambda name: name in addresses)
+        if abs(places[one] - places[other]) < _REGISTERS:
+            table = "addresses." if one in addresses else ""
+            text = (
+                f"registers {_span(places[other])} overlap those of {table}{one}, "
+                f"{_span(places[one])}; each channel has {_REGISTERS} of its own"
+            )
+            yield "addresses", other, text
+
+
+def _span(address: int) -> str:
+    return f"{address} to {address + _REGISTERS - 1}"
+
+
+def _channel(name: str, given: str, address: int) -> Block:
+    """given: the model as the user calls it."""
+    model = _SAME_AS.get(given, given)
     sensor = SENSORS[model]
     status = Point(
         name="status",
@@ -157,8 +191,8 @@ def _channel(name: str, model: str, address: int) -> Block:
         message=f"channel_{model.replace('-', '_')}",
         table=Table.INPUT_REGISTERS,
         address=address,
-        count=3,
-        title=f"{name.replace('_', ' ').capitalize()}: {model}, {sensor.title}",
+        count=_REGISTERS,
+        title=f"{name.replace('_', ' ').capitalize()}: {given}, {sensor.title}",
         points=(status, *sensor.points),
     )
 

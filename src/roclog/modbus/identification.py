@@ -20,7 +20,7 @@ from roclog.modbus.request import (
 _BASIC: Final = 1
 _LAST_BASIC: Final = 2
 _OBJECTS_AT: Final = 7
-_TEXT: Final = re.compile(rb"[\x20-\x7e]{4,}")
+_TEXT: Final = re.compile(rb"[\x01-\x1f\x7f]*[\x20-\x7e]{4,}[\x01-\x7f]*")
 
 
 class ReportServerId(SelfSized):
@@ -78,9 +78,13 @@ def server_id(pdu: bytes) -> bytes:
 
 
 def server_text(octets: bytes) -> str:
-    """Where a server id has text, that; else its octets. Only the maker knows what they mean."""
+    """Where a server id has text, that; else its octets. Only the maker knows what they mean.
+
+    Control characters of a text are shown as such.
+    """
     runs = [run.decode("ascii").strip() for run in _TEXT.findall(octets)]
-    return " ".join(filter(None, runs)) or octets.hex(" ")
+    shown = ["".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in run) for run in runs]
+    return " ".join(filter(None, shown)) or octets.hex(" ")
 
 
 def objects(pdu: bytes) -> tuple[dict[int, str], int | None]:

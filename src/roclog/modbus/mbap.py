@@ -71,12 +71,14 @@ class MbapExchange:
     """Feed it octets until it returns the answer's PDU. Answers to earlier requests are skipped.
 
     answer_start: how many octets were fed before those of the answer, once it is known.
+    stale: how many were skipped. stale_units: of which units, as far as they are whole.
     """
 
     def __init__(self, unit: int, request: Request, transaction: int, stream: MbapStream) -> None:
         header = _HEADERS[stream.dialect.order]
         self.adu = header.pack(transaction, 0, 1 + len(request.pdu), unit) + request.pdu
         self.stale = 0
+        self.stale_units: list[int] = []
         self.answer_start = 0
         self._fed = 0
         self._unit = unit
@@ -96,8 +98,10 @@ class MbapExchange:
         while (frame := self._stream.next_frame()) is not None:
             if frame.transaction != self._transaction:
                 self.stale += 1
+                self.stale_units.append(frame.unit)
             elif frame.unit != self._unit:
-                raise WrongAnswer(f"asked unit {self._unit}, unit {frame.unit} answered", frame.pdu)
+                text = f"asked unit {self._unit}, unit {frame.unit} answered"
+                raise WrongAnswer(text, frame.pdu, is_strange=True)
             else:
                 dialect = self._stream.dialect
                 if dialect.wide_below:
@@ -142,7 +146,9 @@ class DatagramExchange(MbapExchange):
             return None
         hint = _other_order(octets, dialect)
         raise WrongAnswer(
-            f"a datagram of {len(octets)} octets that is not one answer{hint}", octets
+            f"a datagram of {len(octets)} octets that is not one answer{hint}",
+            octets,
+            is_strange=True,
         )
 
 

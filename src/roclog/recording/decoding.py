@@ -141,6 +141,7 @@ class ChannelDecoder:
             flagged="payload" in metadata,
             schema=schema,
             problem=problem,
+            schemas=(schema,),
         )
 
     def _kind(self, schema: str) -> str:

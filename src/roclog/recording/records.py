@@ -146,6 +146,7 @@ class Channel:
     kind: "sample", "gap", "clear", "link", "offset" or "log".
     fields: names of the values in order. units: UCUM, by field name, where there is one.
     flagged: its samples are taken when the device raises a flag.
+    schema: the message type. schemas: all of them, where files differ.
     problem: why its messages cannot be decoded; empty where they can.
     """
 
@@ -159,6 +160,7 @@ class Channel:
     flagged: bool
     schema: str
     problem: str = ""
+    schemas: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

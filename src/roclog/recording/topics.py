@@ -74,7 +74,8 @@ def _merged(old: Channel, new: Channel) -> Channel:
     if new.problem and not old.problem:
         return old
     fields = (*old.fields, *(name for name in new.fields if name not in old.fields))
-    return replace(new, fields=fields, units={**old.units, **new.units})
+    schemas = tuple(dict.fromkeys(old.schemas + new.schemas))
+    return replace(new, fields=fields, units={**old.units, **new.units}, schemas=schemas)
 
 
 def _listed(names: list[str]) -> str:

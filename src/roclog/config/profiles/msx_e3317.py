@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
 
 from msgspec import UNSET, Meta, UnsetType
 
@@ -15,13 +15,15 @@ if TYPE_CHECKING:
     from roclog.config.reading import Problems
     from roclog.register_map import RegisterMap
 
-_Call = Literal[
+_CallName = Literal[
     "clock",
     "calibration_status",
     "pressure_channels",
     "acquisition_channels",
     "channels_info",
 ]
+_CALLS: Final = ", ".join(get_args(_CallName))
+_Call = Annotated[_CallName, Meta(title=f"a name of {_CALLS}")]
 
 
 class MsxE3317(DeviceTable, kw_only=True, forbid_unknown_fields=True, tag="msx-e3317"):
@@ -38,7 +40,7 @@ class MsxE3317(DeviceTable, kw_only=True, forbid_unknown_fields=True, tag="msx-e
         Annotated[
             list[_Call],
             Meta(
-                title=f"names, of {', '.join(get_args(_Call))}",
+                title=f"names, of {_CALLS}",
                 description="Documented functions that are called on schedule; default all",
             ),
         ]
