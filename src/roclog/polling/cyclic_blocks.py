@@ -56,6 +56,7 @@ class CyclicBlocks:
         self._latest: int | None = None
         self._halves: dict[int, tuple[Instant, bytes]] = {}
         self._is_heard = False
+        self._wrong: DeviceError | None = None
         self._complaints = Complaints(outbox, [self._names(n) for n in range(len(self._plan))])
 
     @property
@@ -81,14 +82,15 @@ class CyclicBlocks:
         leave two requests unanswered in a row; the next turn begins behind them.
 
         Raises:
-            DeviceError: it answered nothing; or the connection was lost, and what was read before
-                is kept.
+            DeviceError: it answered nothing, or nothing right; or the connection was lost, and what
+                was read before is kept.
         """
         self.expect(due)
         self._halves.clear()
         numbers, begin = range(len(self._plan)), self._first
         self._first = 0
         was_heard, self._is_heard = self._is_heard, False
+        self._wrong = None
         silent: dict[int, DeviceError] = {}
         lost: set[int] = set()
         in_a_row = 0
@@ -109,8 +111,9 @@ class CyclicBlocks:
                     break
         finally:
             self.outbox.flush_soon()
-        if silent and not self._is_heard:
-            raise next(iter(silent.values()))
+        trouble = next(iter(silent.values()), self._wrong)
+        if trouble is not None and not self._is_heard:
+            raise trouble
         for number, error in silent.items():
             if self._complaints.is_due(number, Fault.SILENT):
                 self._complaints.tell(number, Fault.SILENT, str(error))
@@ -130,7 +133,10 @@ class CyclicBlocks:
             fault = self._fault(error)
             if fault is None:
                 return error
-            self._is_heard = True
+            if fault is Fault.LAYOUT:
+                self._wrong = error  # it is not yet said that the device itself is all right
+            else:
+                self._is_heard = True
             if self._complaints.is_due(number, fault):
                 self._complaints.tell(number, fault, await self._described(error))
             return None
