@@ -74,10 +74,13 @@ class Group(NamedTuple):
     unit: str
 
 
-def groups(channel: Channel) -> list[Group]:
-    """The values worth a place on a line: those with a unit first, then series, then others."""
+def groups(channel: Channel, values: Iterable[str]) -> list[Group]:
+    """The values worth a place on a line: those with a unit first, then series, then others.
+
+    values: the names of those that a sample has; another one of the channel may have others.
+    """
     found: dict[tuple[str, str], list[str]] = {}
-    for name in channel.fields:
+    for name in values:
         unit = channel.units.get(name, "")
         match = _NUMBERED.fullmatch(name)
         found.setdefault((match[1] if match else name, unit), []).append(name)
@@ -110,7 +113,7 @@ class Lines:
     ) -> None:
         self._channels = channels
         self._instant = instant
-        self._groups: dict[str, list[Group]] = {}
+        self._groups: dict[tuple[str, tuple[str, ...]], list[Group]] = {}
         self._widths: dict[tuple[str, int], int] = {}
 
     def line(self, record: Record) -> str:
@@ -130,16 +133,19 @@ class Lines:
         if sample.values.keys() >= _STAMPED:
             yield from self._event(sample)
             return
-        if sample.topic not in self._groups:
-            self._groups[sample.topic] = groups(self._channels[sample.topic])
-        shown = self._groups[sample.topic]
+        shape = sample.topic, tuple(sample.values)
+        if shape not in self._groups:
+            self._groups[shape] = groups(self._channels[sample.topic], sample.values)
+        shown = self._groups[shape]
         flags = [name for name, value in sample.values.items() if value is True]
-        plain = [g for g in shown if not isinstance(sample.values.get(g.names[0]), bool)]
+        plain = [g for g in shown if not isinstance(sample.values[g.names[0]], bool)]
         for group in plain[:_MOST_GROUPS]:
             values = [self._value(sample, name) for name in group.names]
             unit = f" {group.unit}" if group.unit else ""
             text = " ".join(value.rjust(self._width(group, value)) for value in values)
             yield f"{group.label} {text}{unit}"
+        if len(plain) > _MOST_GROUPS:
+            flags.append(f"and {len(plain) - _MOST_GROUPS} more")
         if sample.redelivered:
             flags.append("redelivered")
         if sample.origin == "changed":

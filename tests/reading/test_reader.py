@@ -221,7 +221,7 @@ def test_samples_cannot_be_changed_by_accident(tmp_path: Path) -> None:
 
 def test_fields_of_all_maps_that_a_device_has_had(tmp_path: Path) -> None:
     grown = files.message_class(
-        "roclog.test_device.Sample", f"{files._SIGNATURE}, {files._POINTS}, flow 23 double"
+        "roclog.test_device.Sample", f"{files.SIGNATURE}, {files._POINTS}, flow 23 double"
     )
     files.write_sealed(tmp_path / "a.mcap", [files.sample(1)])
     topics = [files.Topic("/roc1/sample", grown, files.FLAGGED)]

@@ -63,6 +63,24 @@ def test_slow_printing_does_not_add_up(tmp_path: Path) -> None:
     assert time.waits == [0.6, 0.6, 0.6]
 
 
+def test_what_a_sample_has_is_shown_whatever_the_map_was_before(tmp_path: Path) -> None:
+    old = files.message_class("test.Old", f"{files.SIGNATURE}, level 16 double, flow 17 double")
+    new = files.message_class("test.New", f"{files.SIGNATURE}, flow 16 double, speed 17 double")
+    for number, (kind, values) in enumerate(
+        [(old, {"level": 1.5, "flow": 2.0}), (new, {"flow": 3.0, "speed": 4.0})]
+    ):
+        topic = files.Topic("/m/s", kind, {"device": "m", "block": "s"})
+        at = T0 + number * SECOND
+        data = kind(seq=number + 1, epoch=files.EPOCH, read_at=at, **values).SerializeToString()
+        item = files.Item("/m/s", at, data, number + 1, at)
+        files.write_sealed(tmp_path / f"{number}.mcap", [item], topics=[topic])
+    recording = open_recording(tmp_path)
+    lines = Lines(recording.channels)
+    first, second = (lines.line(record).split("  ", 1)[1] for record in recording.records())
+    assert ("level" in first, "flow" in first, "speed" in first) == (True, True, False)
+    assert ("level" in second, "flow" in second, "speed" in second) == (False, True, True)
+
+
 def test_lines_stand_below_each_other(tmp_path: Path) -> None:
     items = [
         files.event(T0),

@@ -25,7 +25,7 @@ MS = 10**6
 TOPIC = "/rtu7/discrete_inputs"
 INPUTS = files.message_class(
     "roclog.mei_timestamped.DiscreteInputs",
-    files._SIGNATURE
+    files.SIGNATURE
     + """, address 16 fixed32, value 17 fixed32,
     change 18 Change:NONE|BASELINE|MOVED|RESTAMPED|VALUE_WITHOUT_STAMP,
     hidden 19 fixed32, time_octets 20 bytes""",

@@ -219,7 +219,8 @@ def _connection(connection: Connection) -> str:
 
 
 def _device(device: Device) -> str:
-    said = "as the device says" if device.cycle is None else format_duration(device.cycle)
+    unset = "not known" if device.profile.cycle is None else "as the device says"
+    said = unset if device.cycle is None else format_duration(device.cycle)
     cycle = f"cycle {said}, " if device.profile.flagged is not None else ""
     dialect = device.profile.dialect
     order = f"{device.word_order}, " if device.profile.samples else ""

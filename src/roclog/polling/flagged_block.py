@@ -309,14 +309,18 @@ class FlaggedBlock:
         self.outbox.add(gap)
 
     def _tell_downtime(self, now: Instant) -> None:
-        """The time between two runs is a gap, on disk no later than the first sample after it."""
+        """The time between two runs is a gap, on disk no later than the first sample after it.
+
+        So many cycles have passed for certain, and the last of their samples is there to be read.
+        """
         since, self._read_until = min(self._read_until, now.utc), 0
         if since:
             cycle = self.cadence.cycle
-            expected = (now.utc - since) // cycle if cycle else 0
+            passed = (now.utc - since) // cycle if cycle else 0
+            expected, possible = max(0, passed - 1), passed <= 1
             self.outbox.add(
                 self._maker.gap(
-                    since, now.utc, expected, Reason.DOWNTIME, now.utc, possible=expected <= 1
+                    since, now.utc, expected, Reason.DOWNTIME, now.utc, possible=possible
                 )
             )
 

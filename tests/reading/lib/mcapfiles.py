@@ -38,7 +38,7 @@ _TYPES = {
     "bytes": _F.TYPE_BYTES,
     "string": _F.TYPE_STRING,
 }
-_SIGNATURE = """seq 1 fixed64, epoch 2 bytes, origin 3 Origin:UNKNOWN|FLAG|CHANGED|CYCLIC,
+SIGNATURE = """seq 1 fixed64, epoch 2 bytes, origin 3 Origin:UNKNOWN|FLAG|CHANGED|CYCLIC,
 redelivered 4 bool, asked_at 5 sfixed64, read_at 6 sfixed64, read_at_monotonic 7 sfixed64,
 previous_read_at 8 sfixed64, device_time 9 sfixed64, time_flags 10 fixed32, doubtful 11 fixed64,
 raw 12 bytes"""
@@ -74,7 +74,7 @@ def message_class(full_name: str, fields: str) -> Any:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(full_name))
 
 
-SAMPLE = message_class("roclog.test_device.Sample", f"{_SIGNATURE}, {_POINTS}")
+SAMPLE = message_class("roclog.test_device.Sample", f"{SIGNATURE}, {_POINTS}")
 GAP = message_class("roclog.Gap", _GAP)
 GAP_OF_BLOCK = message_class("roclog.Gap", f"{_GAP}, possible 5 bool, block 6 string")
 """Since it tells whose samples are missing."""
