@@ -14,7 +14,9 @@ from roclog.map_check import check_register_map
 from roclog.map_check.points import RESERVED_NAMES
 from roclog.register_map import (
     Block,
+    Change,
     ClearOnRead,
+    Counter,
     FlagAndClear,
     Point,
     RegisterMap,
@@ -213,7 +215,10 @@ MISTAKES = {
         "point b: shares register 1 with a",
     ),
     "scale of zero": (device(block(point(scale=Decimal(0)))), "scale 0 is not a number from"),
-    "negative scale": (device(block(point(scale=Decimal(-1)))), "scale -1 is not a number"),
+    "endless negative scale": (
+        device(block(point(scale=Decimal("-1e31")))),
+        "scale -1E+31 is not a number from 1E-30 to 1E+30, with or without a minus",
+    ),
     "scale not a number": (device(block(point(scale=Decimal("nan")))), "scale NaN is not"),
     "endless scale": (device(block(point(scale=Decimal("1e400")))), "scale 1E+400 is not"),
     "scaled minutes": (
@@ -232,6 +237,30 @@ MISTAKES = {
     "range not a number": (
         device(block(point(low=Decimal("nan"), high=Decimal(1)))),
         "NaN to 1 is not a range",
+    ),
+    "range of an endless scale": (
+        device(block(point(scale=Decimal("1e999999"), low=Decimal(1), high=Decimal(9)))),
+        "scale 1E+999999 is not a number",
+    ),
+    "range of no scale": (
+        device(block(point(scale=Decimal("nan"), low=Decimal(1), high=Decimal(9)))),
+        "scale NaN is not a number",
+    ),
+    "sentinel of an endless scale": (
+        device(block(point(scale=Decimal("1e-999999"), sentinels=((Decimal("1e999"), "no"),)))),
+        "sentinel 1E+999 is not a number of uint16",
+    ),
+    "sentinel that is no number": (
+        device(block(point(sentinels=((Decimal("nan"), "no"),)))),
+        "is not a number of uint16",
+    ),
+    "range that is never reached": (
+        device(block(point(scale=Decimal("-0.1"), low=Decimal(1), high=Decimal(9)))),
+        "1 to 9 is never reached, since this uint16 is from -6553.5 to 0",
+    ),
+    "meaning of no number": (
+        device(block(point(meanings=((0x1FFFF, "none"),)))),
+        "131071 is never the value, uint16 is from 0 to 65535",
     ),
     "range of a text": (
         device(
@@ -287,6 +316,41 @@ MISTAKES = {
     "too many coils": (
         device(block(point(type_=WordType.BIT), table=Table.COILS, count=2001)),
         "count 2001 is not 1 to 2000 bits",
+    ),
+    "text longer than an answer": (
+        device(block(point(type_=TEXT, words=126), count=300, atomic=False)),
+        "126 registers are longer than an answer, 125 registers",
+    ),
+    "time longer than an answer": (
+        device(block(count=300, atomic=False, time=calendar(1, 2, 3, 200))),
+        "time: offsets 1 to 200 do not fit one answer",
+    ),
+    "time and text longer than an answer": (
+        device(
+            block(
+                point(offset=100, type_=TEXT, words=90),
+                count=300,
+                atomic=False,
+                time=calendar(1, 2, 3, 101),
+            )
+        ),
+        "time: offsets 1 to 189 do not fit one answer",
+    ),
+    "counter in several requests": (
+        device(block(count=126, atomic=False, trigger=Counter(point="level"))),
+        "a block with a trigger must be read in one request, at most 125 registers, not 126",
+    ),
+    "change in several requests": (
+        device(
+            block(
+                point(type_=WordType.BIT),
+                table=Table.COILS,
+                count=2001,
+                atomic=False,
+                trigger=Change(),
+            )
+        ),
+        "a block with a trigger must be read in one request, at most 2000 bits, not 2001",
     ),
     "block beyond a sample": (
         device(block(count=8001, atomic=False, address=0)),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,7 +13,7 @@ from roclog.modbus.bits import ReadBits
 from roclog.modbus.dialect import MSX_E
 from roclog.modbus.functions import ReadFunction
 from roclog.modbus.request import ReadRegisters
-from roclog.register_map import Block, ClearOnRead, Table
+from roclog.register_map import Block, ClearOnRead, Point, SplitCalendar, Table, WordType
 from roclog.request_plan import flag_request, plan_requests
 
 if TYPE_CHECKING:
@@ -51,6 +52,52 @@ def test_a_hole_is_not_read() -> None:
 
 def test_a_large_block_is_split_at_the_limit_of_an_answer() -> None:
     assert spans([block(100, 300)]) == [(3, 100, 125), (3, 225, 125), (3, 350, 50)]
+
+
+def large(*points: Point, count: int = 300, **more: Any) -> Block:
+    return replace(block(100, count), points=points, **more)
+
+
+def test_a_value_is_not_cut_in_two() -> None:
+    total = Point(name="total", offset=124, type=WordType.U32)
+    assert spans([large(total)]) == [(3, 100, 124), (3, 224, 125), (3, 349, 51)]
+    text = Point(name="text", offset=20, type=WordType.TEXT, words=120)
+    assert spans([large(text)]) == [(3, 100, 20), (3, 120, 125), (3, 245, 125), (3, 370, 30)]
+
+
+def test_a_time_is_not_cut_in_two() -> None:
+    year = Point(name="year", offset=123, type=WordType.U32)
+    time = SplitCalendar(year=124, month=125, day=126, hour=130)
+    assert spans([large(year, time=time)])[:2] == [(3, 100, 123), (3, 223, 125)]
+
+
+def test_a_value_is_not_cut_behind_a_neighbour_either() -> None:
+    total = Point(name="total", offset=0, type=WordType.U64)
+    blocks = [block(0, 122), replace(block(122, 300), points=(total,))]
+    assert spans(blocks) == [(3, 0, 122), (3, 122, 125), (3, 247, 125), (3, 372, 50)]
+
+
+def test_a_value_longer_than_an_answer_has_no_request() -> None:
+    text = Point(name="text", offset=7, type=WordType.TEXT, words=126)
+    with pytest.raises(ValueError, match="a value at 7 is longer than an answer"):
+        plan_requests([large(text)])
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(1, 125)), min_size=1, max_size=30))
+def test_whatever_the_values_each_comes_in_one_answer(shapes: list[tuple[int, int]]) -> None:
+    points: list[Point] = []
+    at = 0
+    for gap, words in shapes:
+        at += gap
+        points.append(Point(name="p", offset=at, type=WordType.OCTETS, words=words))
+        at += words
+    made = replace(block(0, at), points=tuple(points))
+    requests = spans([block(at, 40), made])
+    assert sum(count for _, _, count in requests) == at + 40
+    assert all(1 <= count <= 125 for _, _, count in requests)
+    for point in points:
+        first, end = point.offset, point.offset + point.words
+        assert any(a <= first and end <= a + count for _, a, count in requests)
 
 
 def test_more_bits_than_an_answer_has_fill_the_octets_of_all_but_the_last() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -21,6 +22,8 @@ __all__ = ["Decoded", "TimeFlag", "Value", "decode", "field_names", "named_value
 
 Value = int | float | bool | str | bytes
 _NO_FLAGS: Final = TimeFlag(0)
+_DOUBTS: Final = (1 << MAX_RANGED_POINTS) - 1
+"""Of points that come later only an infinity could be doubtful, and that can be seen."""
 _KEPT_DECODERS: Final = 1024
 
 
@@ -28,8 +31,8 @@ class Decoded(NamedTuple):
     """The values of one block.
 
     values: one for each field of the block, in the order of ``block_fields``.
-    doubtful: bit n is set where point n lies outside the range its document gives, is infinite, or
-    has words that its type does not know.
+    doubtful: bit n is set where point n, one of the first 64, lies outside the range its document
+    gives, is infinite, or has words that its type does not know.
     device_time: nanoseconds UTC, 0 = unknown (then time_flags say why, where the block has stamps).
     missing: bit n is set where point n is no measurement: a sentinel, a status that says so, or no
     decimal digits. Its value is then NaN; an unscaled integer is kept as read.
@@ -304,7 +307,7 @@ class _BlockDecoder:
             doubt, absent = step.read(raw, values)
             doubtful |= doubt << index
             missing |= absent << index
-        return doubtful, missing
+        return doubtful & _DOUBTS, missing
 
 
 def _scale_all(raws: Sequence[Any], terms: Sequence[tuple[int, int, int] | None]) -> list[Any]:
@@ -326,6 +329,30 @@ def _decoder(block: Block, order: WordOrder) -> _BlockDecoder:
             _decoders.clear()
         found = _decoders[key] = _BlockDecoder(block, order)
     return found
+
+
+def why_missing(block: Block, words: Sequence[int], order: WordOrder) -> dict[str, str]:
+    """By name of each point without a measurement, why there is none."""
+    missing = decode(block, words, order).missing
+    if not missing:
+        return {}
+    nothing: dict[str, Any] = dict.fromkeys(("scale", "add", "valid_when", "low", "high"))
+    bare = tuple(replace(point, sentinels=(), **nothing) for point in block.points)
+    stripped = replace(block, points=bare, time=None, trigger=None)
+    numbers = dict(zip(field_names(block), decode(stripped, words, order).values, strict=True))
+    gone = (point for index, point in enumerate(block.points) if missing >> index & 1)
+    return {point.name: _reason(point, numbers) for point in gone}
+
+
+def _reason(point: Point, numbers: Mapping[str, Value]) -> str:
+    number, condition = numbers[point.name], point.valid_when
+    for sentinel, text in point.sentinels:
+        if _number(sentinel, point.type) == number:
+            return text or f"{number} says so"
+    if condition is not None and numbers[condition.point] not in condition.values:
+        good = " or ".join(map(str, condition.values))
+        return f"{condition.point} is {numbers[condition.point]!r}, valid with {good}"
+    return "no decimal digits"
 
 
 def word_order_doubts(block: Block, words: Sequence[int], order: WordOrder) -> list[str]:

@@ -15,6 +15,7 @@ from roclog.modbus.functions import ReadFunction
 from roclog.modbus.request import ReadRegisters
 from roclog.modbus.stamped import split
 from roclog.register_map import MAX_READ_BITS, MAX_READ_REGISTERS, ClearOnRead
+from roclog.register_map.times import places
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -139,24 +140,49 @@ def _runs(pairs: Iterable[tuple[int, Block]]) -> list[list[tuple[int, Block]]]:
 
 
 def _split(run: list[tuple[int, Block]]) -> list[Fetch]:
-    """Requests of at most the size of a PDU; a block is cut only where it does not fit into one."""
+    """Requests of at most the size of a PDU; a block is cut only where it does not fit into one.
+
+    It is never cut within a value, whose halves would be of two moments.
+    """
     fetches: list[Fetch] = []
     pieces: list[tuple[int, Block, int, int]] = []
     room = MAX_READ_REGISTERS
     for index, block in run:
-        first = 0
-        if block.count > room and block.count <= MAX_READ_REGISTERS:
-            fetches.append(_joined(pieces))
-            pieces, room = [], MAX_READ_REGISTERS
+        first, values = 0, _values(block)
         while first < block.count:
-            count = min(room, block.count - first)
-            pieces.append((index, block, first, count))
-            first += count
-            room -= count
-            if room == 0:
+            count = _piece(block, first, room, values)
+            if count:
+                pieces.append((index, block, first, count))
+                first += count
+                room -= count
+            elif not pieces:
+                raise ValueError(f"block {block.name}: a value at {first} is longer than an answer")
+            if room == 0 or first < block.count:
                 fetches.append(_joined(pieces))
                 pieces, room = [], MAX_READ_REGISTERS
     return [*fetches, _joined(pieces)] if pieces else fetches
+
+
+def _piece(block: Block, first: int, room: int, values: list[tuple[int, int]]) -> int:
+    """Most registers from offset ``first`` that fit ``room`` and end where no value is cut."""
+    if block.count - first <= room:
+        return block.count - first
+    if block.count <= MAX_READ_REGISTERS:
+        return 0
+    end = first + room
+    for start, stop in values:
+        if start < end < stop:
+            end = start
+    return max(0, end - first)
+
+
+def _values(block: Block) -> list[tuple[int, int]]:
+    """Where each value of a block lies, its time too: from one offset to another, last first."""
+    spans = [(p.offset, p.offset + block.size_of(p)) for p in block.points]
+    if block.time is not None:
+        words = places(block.time, packed=block.packed)
+        spans.append((min(words), max(words) + 1))
+    return sorted(spans, reverse=True)
 
 
 def _joined(pieces: list[tuple[int, Block, int, int]]) -> Fetch:

@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from roclog.decode import Value, decode, field_names, named_values
 from roclog.plugins import map_flaws
 from roclog.quantities import format_instant
-from roclog.register_map import SplitCalendar, WordOrder, WordType
+from roclog.register_map import WordOrder, WordType
+from roclog.register_map.times import places
 from roclog.request_plan import read_request
 from roclog.word_types import block_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from roclog.register_map import Block, Point, RegisterMap, TimeSource
+    from roclog.register_map import Block, Point, RegisterMap
 
 __all__ = ["Values", "Vector", "check_register_map", "decode_block", "request_pdu"]
 
@@ -57,12 +58,14 @@ def check_register_map(register_map: RegisterMap, vectors: Iterable[Vector] = ()
 
     Raises:
         AssertionError: with everything that is wrong, a line for each.
+        ValueError: something among the vectors is no Vector, or its word order no WordOrder.
     """
+    told = [_usable(vector, index) for index, vector in enumerate(vectors)]
     flaws = map_flaws(register_map)
     if not flaws:
         flaws += _silent_points(register_map)
         flaws += [text for block in register_map.blocks for text in _extreme_flaws(block)]
-        flaws += [text for vector in vectors for text in _vector_flaws(register_map, vector)]
+        flaws += [text for vector in told for text in _vector_flaws(register_map, vector)]
     if flaws:
         name = getattr(register_map, "name", "")
         raise AssertionError("\n".join(f"register map {name}: {flaw}" for flaw in flaws))
@@ -89,10 +92,10 @@ def decode_block(
     Raises:
         KeyError: the map has no such block.
         ValueError: not hexadecimal, not as many octets as the block has, registers outside it or
-            given twice.
+            given twice; the word order is not a WordOrder.
     """
     found = register_map.block(block)
-    order = word_order or _usual_order(register_map)
+    order = _usual_order(register_map) if word_order is None else _known_order(word_order)
     if isinstance(words, Mapping):
         given = _given(found, words)
         registers = [given.get(index, 0) for index in range(found.count)]
@@ -104,7 +107,8 @@ def decode_block(
     known = {p.name: p for p in found.points if _is_known(found, p, given)}
     kept = {name for point in known.values() for name in _certain(point, known)}
     told = {name: value for name, value in values.items() if name in kept}
-    if found.time is not None and all(offset in given for offset in _places(found, found.time)):
+    needed = () if found.time is None else places(found.time, packed=found.packed)
+    if found.time is not None and all(offset in given for offset in needed):
         time = decoded.device_time
         told["device_time"] = format_instant(time) if time else None
     return told
@@ -118,6 +122,21 @@ def request_pdu(register_map: RegisterMap, block: str) -> bytes:
         ValueError: it needs more than one request.
     """
     return read_request(register_map.block(block), register_map.dialect).pdu
+
+
+def _usable(vector: object, index: int) -> Vector:
+    if not isinstance(vector, Vector):
+        raise ValueError(f"vectors[{index}] is {vector!r}, not a Vector")  # noqa: TRY004
+    if vector.word_order is not None:
+        _known_order(vector.word_order)
+    return vector
+
+
+def _known_order(order: object) -> WordOrder:
+    if not isinstance(order, WordOrder):
+        known = ", ".join(f"WordOrder.{name.value}" for name in WordOrder)
+        raise ValueError(f"word order {order!r} is not one of {known}")  # noqa: TRY004
+    return order
 
 
 def _usual_order(register_map: RegisterMap) -> WordOrder:
@@ -165,18 +184,6 @@ def _certain(point: Point, known: Mapping[str, Point]) -> Iterator[str]:
         yield from point.field_names
 
 
-def _places(block: Block, time: TimeSource) -> Iterator[int]:
-    """Offsets of the words of a time."""
-    if isinstance(time, SplitCalendar):
-        yield from (offset for _, offset in time.words)
-        return
-    width = {"Cp56": 4}.get(type(time).__name__, 4 if block.packed else 2)
-    for name in ("offset", "seconds", "microseconds"):
-        first = getattr(time, name, None)
-        if first is not None:
-            yield from range(first, first + width)
-
-
 def _silent_points(register_map: RegisterMap) -> list[str]:
     return [
         f"block {block.name}: point {point.name}: has neither title nor unit nor named bits"
@@ -215,6 +222,8 @@ def _vector_flaws(register_map: RegisterMap, vector: Vector) -> Iterator[str]:
         yield f"{where}{error}"
         return
     rounded = {p.name for p in register_map.block(vector.block).points if p.type is WordType.F32}
+    if not vector.values:
+        yield f"{where}no values, so that nothing is tested"
     for name, expected in vector.values.items():
         if name not in found:
             yield f"{where}{name}: there is no such field, or the words do not tell it"

@@ -339,3 +339,67 @@ def check_ndjson(directory: Path, out: Path) -> None:
     values = first["values"]
     assert (values["sensor"], values["level"], values["single"]) == (None, None, None)
     assert (values["flow"], values["count"], values["by_bit"]) == (0.5, 5, 1)
+
+
+def strict(text: str) -> Any:
+    """JSON as its standard has it: without NaN and Infinity."""
+
+    def refuse(word: str) -> None:
+        raise ValueError(f"{word} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def odd_values() -> Block:
+    """What `read` must show whole: wide numbers, what is missing and why, what is no number."""
+    gate = 'valid_when = { point = "status", values = [0, 1] }'
+    quiet = 'sentinels = { 0x8000 = "no sensor" }'
+    gives: tuple[tuple[str, list[int], str], ...] = (
+        ("status", [7], 'type = "uint16"'),
+        ("energy", [0xFFFF] * 4, 'type = "uint64"'),
+        ("level", [0x8000], f'type = "int16", scale = 0.1, {quiet}'),
+        ("flow", [0x3F80, 0], f'type = "float32", {gate}'),
+        ("digits", [0x00FA], 'type = "bcd16"'),
+        ("quiet", [0x7FC0, 0], 'type = "float32"'),
+        ("over", [0x7F80, 0], 'type = "float32", scale = 2'),
+        ("under", [0xFF80, 0], 'type = "float32"'),
+        ("heat", [9], 'type = "uint16", range = [0, 5], unit = "Cel"'),
+        ("mode", [0], 'type = "uint16", meanings = { 0 = "off" }'),
+        ("stamp", [0x6682, 0x8227], ""),
+    )
+    cells = tuple(Cell(name, "words", (words,), toml) for name, words, toml in gives)
+    time = 'time = { source = "unix", offset = 17 }'
+    return Block("odd", HOLDING, 100, cells, time)
+
+
+def test_what_read_shows(tmp_path: Path) -> None:
+    with Device(tmp_path, odd_values()) as device:
+        config = tmp_path / "roclog.toml"
+        config.write_text(device.toml('poll = "100ms"'))
+        config.chmod(0o644)
+        text = roclog("read", config, "dev").stdout
+        found = strict(roclog("read", config, "dev", "--json").stdout)["blocks"]["odd"]
+    shown = [" ".join(line.split()) for line in text.splitlines()]
+    assert "101 FFFF FFFF FFFF FFFF energy 18446744073709551615" in shown
+    assert "105 8000 level - no measurement: no sensor" in shown
+    assert "106 3F80 0000 flow - no measurement: status is 7, valid with 0 or 1" in shown
+    assert "108 00FA digits - not plausible as bcd16. no measurement: no decimal digits" in shown
+    assert "115 0009 heat 9 Cel outside the documented range 0 to 5." in shown
+    assert shown[-1] == "device time 2024-07-01T10:17:11Z"
+    assert found["values"] == {
+        "status": 7,
+        "energy": 18446744073709551615,
+        **dict.fromkeys(("level", "flow", "digits", "quiet", "over", "under")),
+        "heat": 9,
+        "mode": 0,
+    }
+    assert found["why_null"] == {
+        "level": "no sensor",
+        "flow": "status is 7, valid with 0 or 1",
+        "digits": "no decimal digits",
+        "quiet": "NaN",
+        "over": "Infinity",
+        "under": "-Infinity",
+    }
+    assert found["doubtful"] == ["digits", "over", "under", "heat"]
+    assert (found["device_time"], found["time_flags"]) == (1719829031 * 10**9, [])

@@ -97,7 +97,7 @@ SIZES = {
 CODES = {"float32": ">f", "float64": ">d"}
 _PACKED = ("uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 _NUMBERS = st.integers(-(10**6), 10**6) | st.floats(-1e9, 1e9).map(lambda x: float(f"{x:.4g}"))
-_SCALES = st.sampled_from([0.1, 0.01, 1, 2.5, 1e-30, 1e30, 3])
+_SCALES = st.sampled_from([0.1, 0.01, 1, 2.5, 1e-30, 1e30, 3, -0.1, -1])
 _NO_OFFSET = {"source", "year_base"}
 _DATES = {
     "year": [1970, 1999, 2000, 2024, 2023, 2100, 2262],
@@ -132,7 +132,9 @@ def values(draw: Any, name: str, type_: str, words: int = 0) -> Table:
         if draw(st.booleans()):
             made["add"] = draw(_NUMBERS)
     if type_ != "bit" and draw(st.booleans()):
-        made["range"] = sorted(draw(st.tuples(_NUMBERS, _NUMBERS)))
+        reached = made.get("add", 0)  # the value of the number 0
+        given = sorted(draw(st.tuples(_NUMBERS, _NUMBERS)))
+        made["range"] = [min(given[0], reached), max(given[1], reached)]
     if not is_scaled and type_ in ("uint16", "uint32", "uint64") and draw(st.booleans()):
         top = 8 * SIZES[type_] - 1
         made["bits"] = {

@@ -201,7 +201,13 @@ LAYOUT = f"{KEY}.layout"
 MISTAKES: dict[str, tuple[str, str]] = {
     "no functions in words": ('functions = "none"', "devices.msx-1.functions: "),
     "nothing to call": ("calls = []", "devices.msx-1.calls: none, and no functions"),
-    "a call that is none": ('calls = ["clok"]', "devices.msx-1.calls: "),
+    "a call that is none": (
+        'calls = ["clock", "clok"]',
+        (
+            'devices.msx-1.calls[1]: "clok" is not a name of clock, calibration_status, '
+            'pressure_channels, acquisition_channels, channels_info, did you mean "clock"?'
+        ),
+    ),
     "no name": (
         FUNCTION.replace('name = "values"', "") + layout(COUNTER),
         f"{KEY}.name: missing, needed is a name",
@@ -320,11 +326,11 @@ MISTAKES: dict[str, tuple[str, str]] = {
     ),
     "a field twice": (
         FUNCTION + layout(COUNTER, COUNTER),
-        f"{LAYOUT}: field counter: named twice",
+        f"{LAYOUT}[1].name: field counter: named twice",
     ),
     "a field that is one of an array": (
         FUNCTION + layout(VALUE, '{ name = "value_2", type = "uint32" }'),
-        f"{LAYOUT}: field value_2: named twice",
+        f"{LAYOUT}[1].name: field value_2: named twice",
     ),
     "a name of every sample": (
         FUNCTION + layout('{ name = "seq", type = "uint32" }'),
@@ -420,6 +426,7 @@ def test_all_mistakes_are_told_at_once(refusal: Refusal) -> None:
         f"{path}[1].name",
         f"{path}[1].period",
         f"{path}[2].layout",
+        f"{path}[2].layout[2].name",
     ]
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from roclog.config import load
+from roclog.config import Settings, load, warnings
 from roclog.decode import decode, named_values
 from roclog.register_map import (
     Change,
@@ -147,6 +148,124 @@ MISTAKES: dict[str, tuple[str, str]] = {
             "{ } stays on one line and has no comma at its end"
         ),
     ),
+    "an octet": (
+        BLOCK + point("", type_="uint8"),
+        (
+            f'{POINT}.type: "uint8" is not a type; an octet is a part of a uint16, named by bits = '
+            '{ 0-7 = "lower", 8-15 = "upper" }'
+        ),
+    ),
+    "a divisor": (
+        BLOCK + point("divisor = 10"),
+        f"{POINT}.divisor: unknown key; scale multiplies: what a manual divides by 10 has scale =",
+    ),
+    "a type with its order": (
+        BLOCK + point("", type_="float32_swap"),
+        f'{POINT}.type: "float32_swap" is not a type; write type = "float32", word_order = "CDAB"',
+    ),
+    "a type with its order in capitals": (
+        BLOCK + point("", type_="UINT32-LE"),
+        f'{POINT}.type: "UINT32-LE" is not a type; write type = "uint32", word_order = "DCBA"',
+    ),
+    "a trigger in a word": (
+        BLOCK + points(LEVEL) + 'trigger = "cyclic"\n',
+        (
+            f'{KEY}.trigger: "cyclic" is not a table, needed is one like {{ change = ["state"] }} '
+            'or { counter = "number" }; cyclic is the default, without a trigger'
+        ),
+    ),
+    "a status as a formula": (
+        BLOCK + point('valid_when = "s == 1"'),
+        f'{POINT}.valid_when: "s == 1" is not a table, needed is one like {{ point = "status", ',
+    ),
+    "a flag that is a number": (
+        BLOCK + points(LEVEL) + "trigger = { clear_on_read = 5 }\n",
+        f"{KEY}.trigger.clear_on_read: 5 is not a table, needed is one like {{ address = 2, mask =",
+    ),
+    "a sentinel of unsigned words": (
+        BLOCK + point('sentinels = { 65535 = "none" }', type_="int16"),
+        (
+            f"{POINT}.sentinels: sentinel 65535 is not a number of int16; these words are -1, or "
+            "0xFFFF"
+        ),
+    ),
+    "a sentinel after the scale": (
+        BLOCK + point('scale = 0.1, sentinels = { "-3276.8" = "none" }', type_="int16"),
+        (
+            f"{POINT}.sentinels: sentinel -3276.8 is not a number of int16; a sentinel is the "
+            "number in the device, before scale and add, like -32768"
+        ),
+    ),
+    "a sentinel with a dot": (
+        BLOCK + point('sentinels = { -9999.0 = "none" }', type_="float32"),
+        f'{POINT}.sentinels.-9999: a key with a dot is written in quotes, "-9999.0" = ...',
+    ),
+    "a sentinel that is NaN": (
+        BLOCK + point('sentinels = { nan = "none" }', type_="float32"),
+        f"{POINT}.sentinels.nan: not needed, NaN is no number and is recorded as that",
+    ),
+    "a sentinel of the words of NaN": (
+        BLOCK + point('sentinels = { 0xFFC00000 = "none" }', type_="float32"),
+        f"{POINT}.sentinels.0xFFC00000: not needed, NaN is no number",
+    ),
+    "a sentinel of no digits": (
+        BLOCK + point('sentinels = { 0xFFFFFFFF = "none" }', type_="bcd32"),
+        f"{POINT}.sentinels.0xFFFFFFFF: not needed, words that are no decimal digits",
+    ),
+    "a sentinel beyond a float": (
+        BLOCK + point('sentinels = { 1e39 = "none" }', type_="float32"),
+        f"{POINT}.sentinels: sentinel 1E+39 is not a number of float32",
+    ),
+    "the name of a bit": (
+        BLOCK + point('bits = { 0 = "Run" }'),
+        (f"{POINT}.bits.0: 'Run' cannot be a name: 1 to 48 of a-z, 0-9 and _, with a letter first"),
+    ),
+    "the name of a part": (
+        BLOCK + point('bits = { 8-11 = "seq" }'),
+        f"{POINT}.bits.8-11: 'seq' cannot be a name, every sample has a field of that name",
+    ),
+    "blocks of nothing": (
+        "blocks = []\n",
+        "devices.tank.blocks: is empty, needed are blocks, written as [[devices.NAME.blocks]]",
+    ),
+    "a zone of no time": (
+        'timezone = "Europe/Berlin"\n' + BLOCK + points(LEVEL),
+        "devices.tank.timezone: has no effect, since no block has a time",
+    ),
+    "a zone of seconds": (
+        'timezone = "Europe/Berlin"\n'
+        + BLOCK
+        + points(LEVEL)
+        + 'time = { source = "unix", offset = 1 }\n',
+        "devices.tank.timezone: has no effect, since unix and unix_us count seconds of UTC",
+    ),
+    "an acknowledge of no flag": (
+        "acknowledge = false\n" + BLOCK + points(LEVEL) + "trigger = { change = [] }\n",
+        "devices.tank.acknowledge: has no effect, since no block has trigger = { flag = ... }",
+    ),
+    "a cycle of no samples": (
+        'cycle = "10s"\n' + BLOCK + points(LEVEL),
+        "devices.tank.cycle: has no effect, since no block has a trigger",
+    ),
+    "a period of facts": (
+        BLOCK
+        + 'read = "once"\nperiod = "10s"\n'
+        + points(LEVEL)
+        + BLOCK.replace('"level"', '"other"')
+        + points(LEVEL),
+        f'{KEY}.period: has no effect with read = "once"',
+    ),
+    "a counter in several requests": (
+        BLOCK
+        + "atomic = false\ncount = 126\n"
+        + points(LEVEL)
+        + 'trigger = { counter = "level" }\n',
+        f"{KEY}.trigger: a block with a trigger must be read in one request, at most 125 registers",
+    ),
+    "too many registers for one request": (
+        BLOCK + "count = 200\n" + points(LEVEL),
+        f"{KEY}.count: count 200 is not 1 to 125 registers, or 8000 with atomic = false",
+    ),
     "a flag that a coil cannot be": (
         BLOCK
         + "trigger = { clear_on_read = { table = 'coils', address = 2, mask = 4 } }\n"
@@ -211,7 +330,7 @@ MISTAKES: dict[str, tuple[str, str]] = {
     ),
     "two points of one name": (
         BLOCK + points(LEVEL, LEVEL.replace("offset = 0", "offset = 1")),
-        f"{KEY}.points: field level: named twice",
+        f"{KEY}.points[1].name: field level: named twice",
     ),
     "a bit among registers": (BLOCK + point("", type_="bit"), f"{POINT}.type: bit is not a type"),
     "a register among coils": (
@@ -310,7 +429,7 @@ MISTAKES: dict[str, tuple[str, str]] = {
     ),
     "a flag that is a point": (
         BLOCK + points(LEVEL) + "trigger = { flag = 0 }\n",
-        f"{POINT}.offset: shares register 0 with the flag",
+        f"{POINT}.offset: shares register 0 with the flag; leave this point out, the flag needs",
     ),
     "a payload of no point": (
         BLOCK + points(LEVEL) + 'trigger = { flag = 1, payload = ["levle"] }\n',
@@ -475,7 +594,7 @@ def test_every_word_of_a_point(loaded: Callable[[str], RegisterMap]) -> None:
     ("text", "trigger", "count"),
     [
         ("", None, 1),
-        ("{ flag = 5 }", FlagAndClear(flag=5, payload=((0, 1),)), 6),
+        ("{ flag = 5 }", FlagAndClear(flag=5, payload=((0, 1),), is_assumed=True), 6),
         (
             '{ flag = 5, new = 2, clear = 3, payload = ["level"] }',
             FlagAndClear(flag=5, new=2, clear=3, payload=((0, 1),)),
@@ -519,6 +638,11 @@ def test_triggers(
             3,
         ),
         (
+            '{ source = "unix", offset = 1, epoch = -3600 }',
+            UnixSeconds(offset=1, epoch=-3600),
+            3,
+        ),
+        (
             '{ source = "unix_us", seconds = 3, microseconds = 1 }',
             SecondsMicroseconds(seconds=3, microseconds=1),
             5,
@@ -536,9 +660,50 @@ def test_triggers(
     ],
 )
 def test_times(text: str, time: Any, count: int, loaded: Callable[[str], RegisterMap]) -> None:
-    zone = 'timezone = "Europe/Berlin"\n'
+    zone = 'timezone = "Europe/Berlin"\n' if hasattr(time, "zone") else ""
     (block,) = loaded(zone + BLOCK + points(LEVEL) + f"time = {text}\n").samples
     assert (block.time, block.count) == (time, count)
+
+
+def test_numbers_as_manuals_print_them(loaded: Callable[[str], RegisterMap]) -> None:
+    """The largest binary32 in eight digits, and a scale that turns the sign round."""
+    largest = 'scale = -1, sentinels = { "3.4028235e38" = "none" }'
+    (block,) = loaded(BLOCK + point(largest, type_="float32")).samples
+    assert named_values(block, decode(block, [0x7F7F, 0xFFFF])) == {"p": None}
+    assert named_values(block, decode(block, [0x3F80, 0x0000])) == {"p": -1.0}
+
+
+def test_a_zone_that_says_what_is_so(loaded: Callable[[str], RegisterMap]) -> None:
+    stamp = 'time = { source = "unix", offset = 1 }\n'
+    assert loaded('timezone = "UTC"\n' + BLOCK + points(LEVEL) + stamp).samples[0].time
+    both = BLOCK + points(LEVEL) + stamp + BLOCK.replace('"level"', '"other"') + points(LEVEL)
+    calendar = 'time = { source = "cp56", offset = 1 }\n'
+    made = loaded('timezone = "Europe/Berlin"\n' + both + calendar)
+    assert made.samples[0].time == UnixSeconds(offset=1)
+
+
+def test_local_seconds(loaded: Callable[[str], RegisterMap]) -> None:
+    """Noon of 2024-07-01 as a clock at +02:00 counts it is 10:00 UTC."""
+    stamp = 'time = { source = "unix", offset = 1, epoch = -7200 }\n'
+    (block,) = loaded(BLOCK + points(LEVEL) + stamp).samples
+    noon = int(datetime(2024, 7, 1, 12, tzinfo=UTC).timestamp())
+    utc = int(datetime(2024, 7, 1, 10, tzinfo=UTC).timestamp())
+    assert decode(block, [0, noon >> 16, noon & 0xFFFF]).device_time == utc * 10**9
+    assert decode(block, [0, 0, 7100]).device_time == 0
+
+
+def test_an_unsaid_payload_is_worth_a_warning(load_text: Callable[[str], Settings]) -> None:
+    dose = LEVEL.replace("level", "dose").replace("offset = 0", "offset = 1")
+    block = HEAD + BLOCK + points(LEVEL, dose)
+    (warning,) = warnings(load_text(block + "trigger = { flag = 5 }\n"))
+    assert str(warning).startswith(
+        "devices.tank.blocks: level: a change of any point is a sample, also while the flag is down"
+    )
+    for said in ('["level"]', '["level", "dose"]'):
+        text = block + f"trigger = {{ flag = 5, payload = {said} }}\n"
+        assert warnings(load_text(text)) == []
+    single = HEAD + BLOCK + points(LEVEL) + "trigger = { flag = 5 }\n"
+    assert warnings(load_text(single)) == []
 
 
 def test_blocks_of_every_kind(loaded: Callable[[str], RegisterMap]) -> None:
@@ -635,7 +800,48 @@ def test_mpa_48(tmp_path: Path) -> None:
     [
         ("", "devices.basin.sensors: missing, needed is a table of channel and model"),
         ("sensors = {}", "devices.basin.sensors: none; give the model on each channel"),
-        ('sensors = { channel_1 = "model-11" }', "devices.basin.sensors: a table is not"),
+        (
+            'sensors = { channel_1 = "model-11", channel_2 = "Model 10" }',
+            (
+                'devices.basin.sensors.channel_1: "model-11" is not a model: model-10, model-15, '
+                "model-15L, model-51 or model-52"
+            ),
+        ),
+        (
+            'sensors = { channel_1 = "model-11", channel_2 = "Model 10" }',
+            (
+                'devices.basin.sensors.channel_2: "Model 10" is not a model: model-10, model-15, '
+                'model-15L, model-51 or model-52, did you mean "model-10"?'
+            ),
+        ),
+        ("sensors = { channel_1 = 10 }", "devices.basin.sensors.channel_1: 10 is not a model: "),
+        (
+            'sensors = { channel_3 = "model-10" }\naddresses = { channel_3 = "6" }',
+            (
+                'devices.basin.addresses.channel_3: "6" is not a register: a number from 0 to '
+                "65533, without quotes"
+            ),
+        ),
+        (
+            (
+                'sensors = { channel_3 = "model-10", channel_4 = "model-51" }\n'
+                "addresses = { channel_3 = 6, channel_4 = 8 }"
+            ),
+            (
+                "devices.basin.addresses.channel_4: registers 8 to 10 overlap those of "
+                "addresses.channel_3, 6 to 8; each channel has 3 of its own"
+            ),
+        ),
+        (
+            (
+                'sensors = { channel_3 = "model-10", channel_1 = "model-51" }\n'
+                "addresses = { channel_3 = 2 }"
+            ),
+            (
+                "devices.basin.addresses.channel_3: registers 2 to 4 overlap those of channel_1, "
+                "0 to 2; "
+            ),
+        ),
         (
             'sensors = { channel_3 = "model-10" }',
             "devices.basin.sensors.channel_3: its address is not documented",
@@ -647,13 +853,54 @@ def test_mpa_48(tmp_path: Path) -> None:
         ),
         (
             'sensors = { channel_3 = "model-10" }\naddresses = { channel_3 = 65534 }',
-            "devices.basin.sensors.channel_3: registers 65534 to 65536 do not exist",
+            "devices.basin.addresses.channel_3: registers 65534 to 65536 do not exist",
         ),
     ],
 )
 def test_mpa_48_mistakes(text: str, problem: str, refusal: Callable[[str], list[str]]) -> None:
     lines = refusal(MPA + text)
     assert any(line.startswith(problem) for line in lines), lines
+
+
+def test_a_model_that_is_close_to_two_is_not_guessed(refusal: Callable[[str], list[str]]) -> None:
+    (line,) = refusal(MPA + 'sensors = { channel_1 = "model-99" }')
+    assert line.endswith("model-51 or model-52")
+
+
+def test_a_model_15l_is_a_model_15(load_text: Callable[[str], Settings]) -> None:
+    found = load_text(MPA + 'sensors = { channel_1 = "model-15L", channel_2 = "model-15" }')
+    one, other = found.devices["basin"].profile.samples[1:]
+    assert (one.message, one.points) == (other.message, other.points)
+    assert one.title == "Channel 1: model-15L, suspended solids"
+
+
+@pytest.mark.parametrize("address", [30001, 30007])
+def test_an_address_as_the_manual_counts(
+    address: int, load_text: Callable[[str], Settings]
+) -> None:
+    found = load_text(
+        MPA + f'sensors = {{ channel_3 = "model-10" }}\naddresses = {{ channel_3 = {address} }}'
+    )
+    assert [str(problem) for problem in warnings(found)] == [
+        (
+            f"devices.basin.addresses: channel_3: address {address} is asked for as it is; a "
+            f"manual that counts input registers from 30001 means address {address - 30001}"
+        )
+    ]
+
+
+def test_two_analysers_with_one_unit(load_text: Callable[[str], Settings]) -> None:
+    sensors = 'sensors = { channel_1 = "model-10" }\n'
+    device = MPA[MPA.index("[devices") :] + sensors
+    text = MPA + sensors + device.replace("basin", "pond")
+    assert [str(problem) for problem in warnings(load_text(text))] == [
+        (
+            'devices.pond.unit: 3 is the unit of device "basin" on the same connection, and both '
+            "read relays: one device is asked twice; where there are two, each needs its own unit"
+        )
+    ]
+    other = MPA + sensors + device.replace("basin", "pond").replace("unit = 3", "unit = 4")
+    assert warnings(load_text(other)) == []
 
 
 def test_identity(loaded: Callable[[str], RegisterMap]) -> None:

@@ -204,3 +204,25 @@ def test_words_that_do_not_decode(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_types_are_shipped() -> None:
     assert (files("roclog") / "py.typed").is_file()
+
+
+def test_a_vector_that_tests_nothing() -> None:
+    empty = Vector(OXYGEN, "channel_2", "0000 033E 00FA", {})
+    assert refusal(MPA, empty) == [
+        f"{OXYGEN}: block channel_2: no values, so that nothing is tested"
+    ]
+
+
+def test_what_is_no_vector() -> None:
+    for wrong in (MPA, "0000", (OXYGEN, "channel_2", "0000 033E 00FA", {"status": 0})):
+        with pytest.raises(ValueError, match=r"vectors\[0\] is .*, not a Vector"):
+            check_register_map(MPA, [wrong])  # type: ignore[list-item]
+
+
+def test_a_word_order_in_words() -> None:
+    text = "word order 'CDAB' is not one of WordOrder.ABCD, WordOrder.CDAB, "
+    vector = Vector(OXYGEN, "channel_2", "0000 033E 00FA", {"status": 0}, "CDAB")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=text):
+        check_register_map(MPA, [vector])
+    with pytest.raises(ValueError, match=text):
+        decode_block(MPA, "channel_2", "0000 033E 00FA", word_order="CDAB")  # type: ignore[arg-type]

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
-from rich.table import Table
 
+from roclog.cli import output
 from roclog.errors import DeviceError
 from roclog.quantities import format_instant
 from roclog.register_map import WordType
 from roclog.time_flags import flag_words
 
 if TYPE_CHECKING:
+    from roclog.config import Device
     from roclog.decode import Value
     from roclog.probe import BlockRead, StampedRead
-    from roclog.register_map import Point
+    from roclog.register_map import Point, WordOrder
 
 
 @click.command()
@@ -36,6 +36,7 @@ def read(config: Path, device: str, *, as_json: bool) -> None:
     from roclog.clock import SystemClock  # noqa: PLC0415
     from roclog.config import load  # noqa: PLC0415
     from roclog.probe import read_device, read_stamped  # noqa: PLC0415
+    from roclog.recording.objects import to_json  # noqa: PLC0415
 
     settings = load(config)
     if device not in settings.devices:
@@ -43,12 +44,13 @@ def read(config: Path, device: str, *, as_json: bool) -> None:
         raise click.UsageError(f"{config} has no device {device!r}; it has {known}")
     blocks = asyncio.run(read_device(settings, device, SystemClock()))
     lists = asyncio.run(read_stamped(settings, device, SystemClock()))
+    asked = settings.devices[device]
     if as_json:
-        click.echo(json.dumps(_as_object(device, blocks, lists), default=bytes.hex))
+        click.echo(to_json(_as_object(asked, blocks, lists)))
     else:
-        is_function = settings.devices[device].profile.dialect.has_functions
         for block in blocks:
-            _print_block(block, is_function=is_function)
+            is_function = asked.profile.dialect.has_functions
+            _print_block(block, asked.word_order, is_function=is_function)
         for inputs in lists:
             _print_inputs(inputs)
     problems = [block.problem for block in blocks] + [inputs.problem for inputs in lists]
@@ -56,22 +58,21 @@ def read(config: Path, device: str, *, as_json: bool) -> None:
         raise DeviceError(f"{device}: {problems[0]}")
 
 
-def _print_block(read: BlockRead, *, is_function: bool) -> None:
+def _print_block(read: BlockRead, order: WordOrder, *, is_function: bool) -> None:
     """is_function: a register is a function, and what it answers has octets, not addresses."""
-    console = Console(soft_wrap=True)
+    from roclog.decode import why_missing  # noqa: PLC0415
+
     block = read.block
     where = "function" if is_function else "bits from" if block.table.has_bits else "from register"
     title = f"{block.title or block.name}, {where} {block.address}"
     if read.decoded is None:
-        console.print(f"{title}: {read.problem}\n", markup=False)
+        click.echo(output.printable(f"\n{title}: {read.problem}"))
         return
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     place = "octet" if is_function else "address" if block.table.has_bits else "register"
-    for heading in (place, "raw", "name", "value", "unit", ""):
-        table.add_column(heading, justify="right" if heading in {place, "raw"} else "left")
-    values = _by_name(read)
+    values, reasons = _by_name(read), why_missing(block, read.registers, order)
+    rows = []
     for index, point in enumerate(block.points):
-        remark = _remark(point, values)
+        remark = _remark(point, values, reasons)
         if read.decoded.doubtful >> index & 1:
             remark = f"{_doubt(point)}. {remark}"
         address = point.offset * (1 if block.packed else 2)
@@ -79,13 +80,13 @@ def _print_block(read: BlockRead, *, is_function: bool) -> None:
             address = block.address + point.offset
         value = _text(_meant(point, values[point.name]))
         raw = _raw(read, point)
-        table.add_row(str(address), raw, point.name, value, point.unit, remark.strip())
-    console.print(table, markup=False)
+        rows.append((str(address), raw, point.name, value, point.unit, remark.strip()))
+    headings = (place, "raw", "name", "value", "unit", "")
+    output.print_table(title, headings, rows, numeric=(place, "raw"))
     if read.decoded.device_time:
-        console.print(f"device time {format_instant(read.decoded.device_time)}")
+        click.echo(f"device time {format_instant(read.decoded.device_time)}")
     elif block.time is not None:
-        console.print(f"device time unknown, {flag_words(read.decoded.time_flags)}")
-    console.print()
+        click.echo(f"device time unknown, {flag_words(read.decoded.time_flags)}")
 
 
 def _raw(read: BlockRead, point: Point) -> str:
@@ -97,25 +98,22 @@ def _raw(read: BlockRead, point: Point) -> str:
 
 
 def _print_inputs(read: StampedRead) -> None:
-    console = Console(soft_wrap=True)
     title = f"{read.table.replace('_', ' ').capitalize()} {read.first} to {read.last}, with stamps"
     if read.problem:
-        console.print(f"{title}: {read.problem}\n", markup=False)
+        click.echo(output.printable(f"\n{title}: {read.problem}"))
         return
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for heading in ("address", "value", "changed at", "octets", ""):
-        table.add_column(heading, justify="right" if heading in {"address", "value"} else "left")
+    rows = []
     for address, value, stamp in read.inputs:
         changed = format_instant(stamp.device_time) if stamp.device_time else "unknown"
         row = (str(address), str(value), changed, stamp.octets.hex(" "), flag_words(stamp.flags))
-        table.add_row(*row)
-    console.print(table, markup=False)
-    console.print()
+        rows.append(row)
+    headings = ("address", "value", "changed at", "octets", "")
+    output.print_table(title, headings, rows, numeric=("address", "value"))
 
 
-def _remark(point: Point, values: dict[str, Value | None]) -> str:
+def _remark(point: Point, values: dict[str, Value | None], reasons: dict[str, str]) -> str:
     if values[point.name] is None:
-        return "no measurement"
+        return f"no measurement: {reasons[point.name]}"
     set_bits = [name for _, name in point.bits if values[name]]
     parts = [f"{name} {values[name]!r}" for _, _, name in point.parts]
     meanings = [text for value, text in point.meanings if value == values[point.name]]
@@ -145,20 +143,46 @@ def _meant(point: Point, value: Value | None) -> Value | None:
 
 
 def _text(value: Value | None) -> str:
-    """Device strings come from outside: control characters are shown, not obeyed."""
     if value is None:
         return "-"
     if isinstance(value, bytes):
         return value.hex(" ")
-    if isinstance(value, str):
-        return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in value)
-    return repr(value)
+    return value if isinstance(value, str) else repr(value)
 
 
-def _as_object(device: str, blocks: list[BlockRead], lists: list[StampedRead]) -> dict[str, object]:
+def _block_object(read: BlockRead, order: WordOrder) -> dict[str, object]:
+    """Every null among the values has its reason in ``why_null``."""
+    from roclog.decode import why_missing  # noqa: PLC0415
+
+    if read.decoded is None:
+        return {"problem": read.problem}
+    block, decoded, values = read.block, read.decoded, _by_name(read)
+    odd = {
+        name: {math.inf: "Infinity", -math.inf: "-Infinity"}.get(value, "NaN")
+        for name, value in values.items()
+        if isinstance(value, float) and not math.isfinite(value)
+    }
+    reasons = why_missing(block, read.registers, order)
+    for point in block.points:
+        if point.name in reasons:
+            odd |= dict.fromkeys(point.field_names, reasons[point.name])
+    marked = [p.name for index, p in enumerate(block.points) if decoded.doubtful >> index & 1]
+    return {
+        "values": values,
+        "why_null": odd,
+        "doubtful": marked,
+        "device_time": decoded.device_time or None,
+        "time_flags": flag_words(decoded.time_flags).split(),
+        "octets" if block.packed else "registers": list(read.registers),
+    }
+
+
+def _as_object(
+    device: Device, blocks: list[BlockRead], lists: list[StampedRead]
+) -> dict[str, object]:
     return {
         "schema": "roclog.read/1",
-        "device": device,
+        "device": device.name,
         "stamped": [
             {
                 "table": read.table.value,
@@ -178,13 +202,5 @@ def _as_object(device: str, blocks: list[BlockRead], lists: list[StampedRead]) -
             }
             for read in lists
         ],
-        "blocks": {
-            read.block.name: {
-                "values": _by_name(read),
-                "octets" if read.block.packed else "registers": list(read.registers),
-            }
-            if read.decoded is not None
-            else {"problem": read.problem}
-            for read in blocks
-        },
+        "blocks": {read.block.name: _block_object(read, device.word_order) for read in blocks},
     }

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Final
+import re
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Container
 
 OTHERS_SAY: Final = {
     **dict.fromkeys(("u16", "word", "ushort", "unsigned", "uint"), "uint16"),
@@ -19,7 +23,7 @@ OTHERS_SAY: Final = {
     **dict.fromkeys(("holding", "hr", "4x"), "holding_registers"),
     **dict.fromkeys(("input", "inputs", "ir", "3x"), "input_registers"),
     **dict.fromkeys(("discrete", "di", "1x"), "discrete_inputs"),
-    **dict.fromkeys(("factor", "multiplier", "gain", "divisor"), "scale"),
+    **dict.fromkeys(("factor", "multiplier", "gain"), "scale"),
     **dict.fromkeys(("slave", "slave_id", "unit_id", "slave_address", "server"), "unit"),
     **dict.fromkeys(("address", "register"), "offset"),
     **dict.fromkeys(("start", "start_address", "first_register"), "address"),
@@ -29,3 +33,31 @@ OTHERS_SAY: Final = {
     **dict.fromkeys(("interval", "scan_rate", "cycle_time"), "poll"),
 }
 """What they say, in lower case, and what it is called here. INT and REAL are those of IEC 61131."""
+
+_OCTET: Final = 'an octet is a part of a uint16, named by bits = { 0-7 = "lower", 8-15 = "upper" }'
+_DIVIDED: Final = "scale multiplies: what a manual divides by 10 has scale = 0.1"
+_EXPLAINED: Final = {
+    **dict.fromkeys(("uint8", "int8", "u8", "s8", "i8", "byte", "usint", "sint"), _OCTET),
+    **dict.fromkeys(("divisor", "divide", "divide_by", "div"), _DIVIDED),
+}
+_NEEDED_FOR: Final = {_OCTET: "uint16", _DIVIDED: "scale"}
+"""The word without which an explanation makes no sense."""
+_ORDERED: Final = re.compile(
+    r"(u?int(?:32|64)|float(?:32|64)?|real|double|dword|[uis](?:32|64)|f(?:32|64))[ _-]?"
+    r"(?:(swap(?:ped)?|cdab|wordswap|ws|mid_?little|r|inv(?:erse)?)|(dcba|le|little|little_endian)"
+    r"|(badc|bs|byteswap|mid_?big)|abcd|be|big|big_endian)"
+)
+"""A type that has its order in its name."""
+
+
+def explanation(word: str, known: Container[str]) -> str:
+    """Of a word in lower case, what to write for it where no single word is meant; else nothing."""
+    text = _EXPLAINED.get(word, "")
+    if text:
+        return text if _NEEDED_FOR[text] in known else ""
+    match = _ORDERED.fullmatch(word)
+    type_ = OTHERS_SAY.get(match[1], match[1]) if match else ""
+    if match is None or type_ not in known:
+        return ""
+    order = "CDAB" if match[2] else "DCBA" if match[3] else "BADC" if match[4] else "ABCD"
+    return f'write type = "{type_}", word_order = "{order}"'

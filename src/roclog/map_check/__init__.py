@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from roclog.errors import RegisterMapError
-from roclog.map_check.points import NAME, point_flaws
+from roclog.map_check.points import NAME, named_keys, point_flaws
 from roclog.map_check.triggers import time_flaws, trigger_flaws
 from roclog.map_check.writable import writable_flaws
 from roclog.register_map import (
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _MESSAGE: Final = re.compile(r"[a-z][a-z0-9_]{0,95}")
 RESERVED_BLOCKS: Final = frozenset({"gap", "link", "clear", "clock_offset"})
 """Channels that a device has beside its blocks."""
+_FLAG: Final = "the flag"
+_FLAG_HINT: Final = "leave this point out, the flag needs none, or name another flag"
 _MAX_FIELDS: Final = 18_000
 """Protobuf keeps the numbers from 19000 on for itself."""
 
@@ -83,9 +85,9 @@ def find_flaws(register_map: RegisterMap) -> list[Flaw]:
             where = f"{place}point {point.name}: "
             flaws = point_flaws(point, block, index)
             found += [Flaw(number, index, key, where, text) for key, text in flaws]
-        for index, text in _sharing_flaws(block):
+        for index, key, text in (*_twin_fields(block), *_sharing_flaws(block)):
             where = f"{place}point {block.points[index].name}: "
-            found.append(Flaw(number, index, "offset", where, text))
+            found.append(Flaw(number, index, key, where, text))
     return found
 
 
@@ -97,7 +99,7 @@ def _map_flaws(register_map: RegisterMap) -> Iterator[tuple[str, str]]:
     if register_map.answer_limit <= 0:
         yield "answer_limit", "answer_limit: must be longer than nothing"
     if not register_map.samples and not register_map.stamped:
-        yield "blocks", "samples: no block"
+        yield "blocks", "samples: no block, so that nothing would be recorded"
     yield from _serial_flaws(register_map.serial)
     flagged = [block.name for block in register_map.blocks if block.handshake is not None]
     if len(flagged) > 1:
@@ -167,7 +169,6 @@ def _block_flaws(block: Block, *, is_fact: bool) -> Iterator[tuple[str, str]]:
     if not block.points:
         yield "points", "no points"
     names = [name for point in block.points for name in point.field_names]
-    yield from _twins("points", "field", names)
     if len(names) > _MAX_FIELDS:
         yield "points", f"{len(names)} fields are more than {_MAX_FIELDS}"
     numbers = {point.name for point in block.points if _is_wide_number(point)}
@@ -192,7 +193,8 @@ def _extent_flaws(block: Block) -> Iterator[tuple[str, str]]:
     answer = MAX_READ_BITS if block.table.has_bits else MAX_READ_REGISTERS
     most = answer if block.atomic else MAX_BLOCK
     if not 1 <= block.count <= most:
-        yield "count", f"count {block.count} is not 1 to {most} {what}"
+        more = f", or {MAX_BLOCK} with atomic = false" if block.atomic else ""
+        yield "count", f"count {block.count} is not 1 to {most} {what}{more}"
     if not 0 <= block.address <= 65536 - block.count:
         last = block.address + block.count - 1
         yield "address", f"{what} {block.address} to {last} do not exist"
@@ -212,15 +214,28 @@ def _function_flaws(block: Block) -> Iterator[tuple[str, str]]:
         yield "trigger", "trigger: a function has no flag"
 
 
-def _sharing_flaws(block: Block) -> Iterator[tuple[int, str]]:
+def _twin_fields(block: Block) -> Iterator[tuple[int, str, str]]:
+    """(index of the point, attribute, what is wrong with it), of the second of two."""
+    first: dict[str, str] = {}
+    for index, point in enumerate(block.points):
+        for key, name in named_keys(point):
+            other = first.get(camel_case(name))
+            first.setdefault(camel_case(name), name)
+            if other is not None:
+                text = "named twice" if other == name else f"differs from {other} only in _"
+                yield index, key, f"field {name}: {text}"
+
+
+def _sharing_flaws(block: Block) -> Iterator[tuple[int, str, str]]:
     taken: dict[int, str] = {}
     if block.handshake is not None:
-        taken[block.handshake.flag] = "the flag"
+        taken[block.handshake.flag] = _FLAG
     what = "bit" if block.table.has_bits else "octet" if block.packed else "register"
     for index, point in enumerate(block.points):
         for word in range(point.offset, point.offset + min(block.size_of(point), MAX_BLOCK)):
             if word in taken:
-                yield index, f"shares {what} {word} with {taken[word]}"
+                hint = f"; {_FLAG_HINT}" if taken[word] == _FLAG else ""
+                yield index, "offset", f"shares {what} {word} with {taken[word]}{hint}"
             taken[word] = point.name
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
+import struct
 from decimal import Decimal
 from typing import TYPE_CHECKING, Final
 
-from roclog.register_map import MAX_RANGED_POINTS, WordOrder, WordType
+from roclog.register_map import MAX_RANGED_POINTS, MAX_READ_REGISTERS, WordOrder, WordType
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
 
 NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,47}")
 """Of points, bits and blocks."""
+_NAME_RULE: Final = "1 to 48 of a-z, 0-9 and _, with a letter first"
 RESERVED_NAMES: Final = frozenset(
     (
         "seq",
@@ -38,14 +41,10 @@ RESERVED_NAMES: Final = frozenset(
 """Fields that every sample has; a point cannot be called so."""
 _UNIT: Final = re.compile(r"[!-~]{0,32}")
 _JUDGED: Final = frozenset({WordType.MINUTES_SECONDS, WordType.MONTH_DAY, WordType.TEXT})
-_NO_NUMBERS: Final = frozenset({WordType.TEXT, WordType.OCTETS})
 """Types of which some words are illegal, besides the decimal digits, which can be missing."""
+_NO_NUMBERS: Final = frozenset({WordType.TEXT, WordType.OCTETS})
 _MIN_SCALE: Final = Decimal("1e-30")
 _MAX_SCALE: Final = Decimal("1e30")
-_LARGEST_FLOAT: Final = {
-    WordType.F32: Decimal("3.4028234663852886e38"),
-    WordType.F64: Decimal("1.7976931348623157e308"),
-}
 _DIGITS: Final = {WordType.BCD16: 4, WordType.BCD32: 8, WordType.BCD64: 16}
 
 
@@ -61,17 +60,28 @@ def limits(type_: WordType) -> tuple[int, int]:
     return 0, (1 << bits) - 1
 
 
+def named_keys(point: Point) -> Iterator[tuple[str, str]]:
+    """(attribute, name) of every field of a point; of a bit with its number."""
+    yield "name", point.name
+    yield from ((f"bits.{bit}", name) for bit, name in point.bits)
+    yield from ((f"bits.{first}-{first + size - 1}", name) for first, size, name in point.parts)
+
+
 def point_flaws(point: Point, block: Block, index: int) -> Iterator[tuple[str, str]]:
     """(attribute, what is wrong with it), for the point at ``index`` of its block."""
-    for name in point.field_names:
+    for key, name in named_keys(point):
         if not NAME.fullmatch(name) or name in RESERVED_NAMES:
-            why = ", every sample has a field of that name" if name in RESERVED_NAMES else ""
-            yield ("name" if name == point.name else "bits"), f"{name!r} cannot be a name{why}"
+            taken = name in RESERVED_NAMES
+            why = ", every sample has a field of that name" if taken else f": {_NAME_RULE}"
+            yield key, f"{name!r} cannot be a name{why}"
     size = block.size_of(point)
     if point.offset < 0 or size < 1 or point.offset + size > block.count:
         what = "bits" if block.table.has_bits else "octets" if block.packed else "words"
         text = f"offset {point.offset} with {size} {what} is outside the block, which has"
         yield "offset", f"{text} {block.count}"
+    if size > MAX_READ_REGISTERS and not (block.table.has_bits or block.packed):
+        text = f"{size} registers are longer than an answer, {MAX_READ_REGISTERS} registers"
+        yield "words", f"{text}, so that its parts would be of different moments"
     if point.words and not point.type.has_length:
         yield "words", "only text and bytes have a number of words"
     if (point.type is WordType.BIT) != block.table.has_bits:
@@ -111,9 +121,9 @@ def _order_flaws(point: Point) -> Iterator[tuple[str, str]]:
 def _scale_flaws(point: Point) -> Iterator[tuple[str, str]]:
     is_number = point.type.is_integer or point.type.is_float or point.type.is_bcd
     if point.scale is not None:
-        if not (point.scale.is_finite() and _MIN_SCALE <= point.scale <= _MAX_SCALE):
+        if not (point.scale.is_finite() and _MIN_SCALE <= abs(point.scale) <= _MAX_SCALE):
             text = f"scale {point.scale} is not a number from {_MIN_SCALE} to {_MAX_SCALE}"
-            yield "scale", text
+            yield "scale", f"{text}, with or without a minus"
         if not is_number:
             yield "scale", f"{point.type} cannot have a scale"
     if point.add is not None:
@@ -147,10 +157,16 @@ def _range_flaws(point: Point) -> Iterator[tuple[str, str]]:
         return
     if not (point.low.is_finite() and point.high.is_finite()):
         yield "range", f"{point.low} to {point.high} is not a range"
-    elif point.low > point.high:
+        return
+    if point.low > point.high:
         yield "range", f"low {point.low} is above high {point.high}"
     if point.type in _NO_NUMBERS or point.type is WordType.BIT:
         yield "range", f"{point.type} has no range"
+    elif (point.type.is_integer or point.type.is_bcd) and not any(_scale_flaws(point)):
+        ends = [end * (point.scale or 1) + (point.add or 0) for end in limits(point.type)]
+        if max(ends) < point.low or point.high < min(ends):
+            text = f"{point.type} is from {min(ends)} to {max(ends)}"
+            yield "range", f"{point.low} to {point.high} is never reached, since this {text}"
 
 
 def _meaning_flaws(point: Point) -> Iterator[tuple[str, str]]:
@@ -159,6 +175,11 @@ def _meaning_flaws(point: Point) -> Iterator[tuple[str, str]]:
     yield from (("meanings", f"{value}: two meanings") for value in twice)
     if values and (point.type in _NO_NUMBERS or point.type.is_float):
         yield "meanings", f"{point.type} is not an enumeration"
+    elif point.type not in _JUDGED and not point.is_scaled:
+        low, high = limits(point.type)
+        outside = [value for value in values if not low <= value <= high]
+        for value in outside:
+            yield "meanings", f"{value} is never the value, {point.type} is from {low} to {high}"
 
 
 def _sentinel_flaws(point: Point) -> Iterator[tuple[str, str]]:
@@ -172,14 +193,34 @@ def _sentinel_flaws(point: Point) -> Iterator[tuple[str, str]]:
         if numbers.count(number) > 1:
             yield "sentinels", f"sentinel {number}: given twice"
         elif not _fits(number, point.type):
-            yield "sentinels", f"sentinel {number} is not a number of {point.type}"
+            text = f"sentinel {number} is not a number of {point.type}"
+            yield "sentinels", text + _sentinel_hint(number, point)
+
+
+def _sentinel_hint(number: Decimal, point: Point) -> str:
+    """What was meant, where words were written as unsigned, or a value for the number."""
+    if not number.is_finite():
+        return ""
+    bits = 16 * point.type.words
+    signed = number - (1 << bits)
+    if point.type.value.startswith("int") and number > 0 and _fits(signed, point.type):
+        return f"; these words are {signed}, or 0x{int(number):0{bits // 4}X}"
+    if point.is_scaled and not any(_scale_flaws(point)):
+        meant = (number - (point.add or 0)) / (point.scale or 1)
+        like = f", like {meant:f}" if _fits(meant, point.type) else ""
+        return f"; a sentinel is the number in the device, before scale and add{like}"
+    return ""
 
 
 def _fits(number: Decimal, type_: WordType) -> bool:
-    if not number.is_finite():
+    if not (number.is_finite() and math.isfinite(number)):
         return False
     if type_.is_float:
-        return abs(number) <= _LARGEST_FLOAT[type_]
+        try:
+            struct.pack(">f" if type_ is WordType.F32 else ">d", number)
+        except OverflowError:  # the nearest number of the type is an infinity
+            return False
+        return True
     low, high = limits(type_)
     return number == int(number) and low <= number <= high
 

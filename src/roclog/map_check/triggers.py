@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from roclog.register_map import (
+    MAX_READ_BITS,
+    MAX_READ_REGISTERS,
     Change,
     ClearOnRead,
     Counter,
@@ -17,6 +19,7 @@ from roclog.register_map import (
     UnixSeconds,
     WordType,
 )
+from roclog.register_map.times import places
 from roclog.stamps import parse_zone
 
 if TYPE_CHECKING:
@@ -32,6 +35,12 @@ _COUNTERS: Final = frozenset({WordType.U16, WordType.U32, WordType.U64})
 def trigger_flaws(block: Block) -> Iterator[tuple[str, str]]:
     """(attribute, what is wrong with it)."""
     trigger = block.trigger
+    most = MAX_READ_BITS if block.table.has_bits else MAX_READ_REGISTERS
+    if isinstance(trigger, Counter | Change) and block.count > most and not block.packed:
+        what = "bits" if block.table.has_bits else "registers"
+        text = f"must be read in one request, at most {most} {what}, not {block.count}"
+        why = "a sample could be half of one and half of the next"
+        yield "trigger", f"trigger: a block with a trigger {text}, else {why}"
     found: Iterable[str] = ()
     match trigger:
         case FlagAndClear():
@@ -104,31 +113,34 @@ def _ranges(what: str, ranges: Iterable[tuple[int, int]], block: Block) -> Itera
 
 
 def _time(block: Block) -> Iterator[str]:
-    offsets: list[int] = []
+    if block.time is None:
+        return
     if block.packed and not isinstance(block.time, UnixSeconds | SecondsMicroseconds):
         yield "time: octets hold seconds, or seconds and microseconds, no other time"
         return
-    wide = 4 if block.packed else 2
-    match block.time:
-        case SplitCalendar() as calendar:
-            offsets = [offset for _, offset in calendar.words]
-            yield from _calendar(calendar)
-            yield from _zone(calendar.zone)
-        case UnixSeconds(offset=offset):
-            offsets = list(range(offset, offset + wide))
-        case SecondsMicroseconds(seconds=high, microseconds=low):
-            offsets = [*range(high, high + wide), *range(low, low + wide)]
-        case Cp56(offset=offset, zone=zone):
-            offsets = list(range(offset, offset + 4))
-            yield from _zone(zone)
-        case Cp32(offset=offset, zone=zone):
-            offsets = [offset, offset + 1]
-            yield from _zone(zone)
-            if block.trigger is None:
-                yield "time: a stamp without a date needs a trigger that tells when it changed"
+    if isinstance(block.time, SplitCalendar):
+        yield from _calendar(block.time)
+    if isinstance(block.time, SplitCalendar | Cp56 | Cp32):
+        yield from _zone(block.time.zone)
+    if isinstance(block.time, Cp32) and block.trigger is None:
+        yield "time: a stamp without a date needs a trigger that tells when it changed"
+    offsets = places(block.time, packed=block.packed)
     yield from _outside("time", offsets, block)
+    yield from _spread(offsets, block)
     if len(set(offsets)) < len(offsets):
         yield "time: one register is used twice"
+
+
+def _spread(offsets: list[int], block: Block) -> Iterator[str]:
+    """A time that several requests would read, and whatever lies across its ends."""
+    first, end = min(offsets, default=0), max(offsets, default=0) + 1
+    for point in block.points:
+        start, stop = point.offset, point.offset + block.size_of(point)
+        first = start if start < first < stop else first
+        end = stop if start < end < stop else end
+    if end - first > MAX_READ_REGISTERS and not (block.atomic or block.packed):
+        text = f"offsets {first} to {end - 1} do not fit one answer, {MAX_READ_REGISTERS} registers"
+        yield f"time: {text}, so that its parts would be of different moments"
 
 
 def _calendar(calendar: SplitCalendar) -> Iterator[str]:

@@ -49,7 +49,8 @@ class SplitCalendar:
 class UnixSeconds:
     """Unsigned seconds since an epoch in two registers; zero means no time.
 
-    epoch: seconds since 1970 at which the device counts 0, like 946684800 for the year 2000.
+    epoch: seconds since 1970 at which the device counts 0, like 946684800 for the year 2000, or
+    -3600 where it counts the seconds of a clock at +01:00.
     """
 
     offset: int
@@ -94,6 +95,20 @@ class Cp32:
     offset: int
     word_order: WordOrder = WordOrder.ABCD
     zone: str = "UTC"
+
+
+def places(time: TimeSource, *, packed: bool = False) -> list[int]:
+    """Offsets of the words of a time; packed: of its octets."""
+    wide = 4 if packed else 2
+    match time:
+        case SplitCalendar():
+            return [offset for _, offset in time.words]
+        case UnixSeconds() | Cp32():
+            return list(range(time.offset, time.offset + wide))
+        case SecondsMicroseconds(seconds=high, microseconds=low):
+            return [*range(high, high + wide), *range(low, low + wide)]
+        case Cp56():
+            return list(range(time.offset, time.offset + 4))
 
 
 TimeSource = SplitCalendar | UnixSeconds | SecondsMicroseconds | Cp56 | Cp32

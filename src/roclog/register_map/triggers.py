@@ -16,12 +16,14 @@ class FlagAndClear:
 
     payload: (first offset, words) ranges whose change means another sample. Words that move
     without a new sample (live alarms, temperature) are left out.
+    is_assumed: nobody has said which words those are, so that it is all that have a name.
     """
 
     flag: int
     new: int = 1
     clear: int = 0
     payload: tuple[tuple[int, int], ...]
+    is_assumed: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from msgspec import UNSET, Meta, Struct, UnsetType
 
@@ -44,7 +44,14 @@ _Offset = Annotated[
 ]
 _Word = Annotated[int, Meta(ge=0, le=65535, title="a word from 0 to 65535")]
 _Number = Annotated[int | float, Meta(title="a number")]
-_Names = Annotated[list[str], Meta(title='names of points, like ["rate", "total"]')]
+_Payload = Annotated[
+    list[str],
+    Meta(
+        title='names of points, like ["rate", "total"]',
+        description="Points that change with a new sample only: another payload is a sample, also "
+        "while the flag is down. Default: all points",
+    ),
+]
 _Texts = Annotated[
     dict[str, str], Meta(title='a table of number and text, like { 0 = "closed", 1 = "open" }')
 ]
@@ -60,6 +67,8 @@ _Order = Annotated[
 
 class ValidWhenTable(Struct, kw_only=True, forbid_unknown_fields=True):
     """A measurement counts only while another field of its block has one of these values."""
+
+    EXAMPLE: ClassVar[str] = '{ point = "status", values = [0] }'
 
     point: Annotated[str, Meta(title="the name of a point or of one of its bits")] | UnsetType
     values: Annotated[list[int], Meta(title="whole numbers, like [0]")] | UnsetType
@@ -128,6 +137,8 @@ class PointTable(ValueTable, kw_only=True, forbid_unknown_fields=True):
 class ClearOnReadTable(Struct, kw_only=True, forbid_unknown_fields=True):
     """The word with the flag that reading the block lowers."""
 
+    EXAMPLE: ClassVar[str] = "{ address = 2, mask = 4 }"
+
     address: _Address | UnsetType
     table: _FlagTable | UnsetType = UNSET
     mask: _Word | UnsetType = UNSET
@@ -137,9 +148,33 @@ class ClearOnReadTable(Struct, kw_only=True, forbid_unknown_fields=True):
 class CounterOrChangeTable(Struct, kw_only=True, forbid_unknown_fields=True):
     """When an answer is a sample: counter or change; default: every answer."""
 
+    EXAMPLE: ClassVar[str] = (
+        '{ change = ["state"] } or { counter = "number" }; cyclic is the default, without a trigger'
+    )
+
     counter: Annotated[str, Meta(title="the name of a point that counts")] | UnsetType = UNSET
-    first: Annotated[int, Meta(ge=0, title="a whole number, 0 or more")] | UnsetType = UNSET
-    last: Annotated[int, Meta(ge=1, title="a whole number, 1 or more")] | UnsetType = UNSET
+    first: (
+        Annotated[
+            int,
+            Meta(
+                ge=0,
+                title="a whole number, 0 or more",
+                description="Of the counter, what follows last; default 0",
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
+    last: (
+        Annotated[
+            int,
+            Meta(
+                ge=1,
+                title="a whole number, 1 or more",
+                description="Of the counter, the largest; default: all bits of the point set",
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
     change: (
         Annotated[
             list[str],
@@ -155,12 +190,14 @@ class TriggerTable(CounterOrChangeTable, kw_only=True, forbid_unknown_fields=Tru
     flag: _Offset | UnsetType = UNSET
     new: _Word | UnsetType = UNSET
     clear: _Word | UnsetType = UNSET
-    payload: _Names | UnsetType = UNSET
+    payload: _Payload | UnsetType = UNSET
     clear_on_read: ClearOnReadTable | UnsetType = UNSET
 
 
 class TimeTable(Struct, kw_only=True, forbid_unknown_fields=True):
     """Where the device's own time of a sample lies; all numbers but the last two are offsets."""
+
+    EXAMPLE: ClassVar[str] = '{ source = "unix", offset = 10 }'
 
     source: (
         Annotated[
@@ -194,9 +231,10 @@ class TimeTable(Struct, kw_only=True, forbid_unknown_fields=True):
         Annotated[
             int,
             Meta(
-                ge=0,
+                ge=-86400,
                 title="seconds from 1970",
-                description="At which the device counts 0, like 946684800 for the year 2000",
+                description="At which the device counts 0, like 946684800 for the year 2000, or "
+                "-3600 where it counts those of a clock at +01:00",
             ),
         ]
         | UnsetType
@@ -266,8 +304,8 @@ class Registers(DeviceTable, kw_only=True, forbid_unknown_fields=True, tag="regi
             str,
             Meta(
                 title="a time zone in quotes",
-                description='In which its calendar runs: UTC, an offset like "+01:00", or a name '
-                'like "Europe/Berlin"; default UTC',
+                description="In which the clock of calendar, cp56 and cp32 runs: UTC, an offset "
+                'like "+01:00", or a name like "Europe/Berlin"; default UTC',
             ),
         ]
         | UnsetType

@@ -69,9 +69,11 @@ def trigger(
         return _clear_on_read(said.clear_on_read, table)
     if isinstance(said.flag, UnsetType):
         return _counter_or_change(said, spans, key, problems)
+    assumed = isinstance(said.payload, UnsetType)
     chosen = spans if isinstance(said.payload, UnsetType) else said.payload
     payload = _ranges(chosen, spans, f"{key}.payload", problems)
-    return FlagAndClear(payload=payload, **given(said, "flag", "new", "clear"))
+    more = given(said, "flag", "new", "clear")
+    return FlagAndClear(payload=payload, is_assumed=assumed, **more)
 
 
 def counter_or_change(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from decimal import Decimal
@@ -19,9 +20,12 @@ from roclog.register_map import (
     MAX_READ_BITS,
     MAX_READ_REGISTERS,
     Block,
+    Cp32,
+    Cp56,
     Point,
     RegisterMap,
     SerialDefaults,
+    SplitCalendar,
     ValidWhen,
     WordOrder,
     WordType,
@@ -45,6 +49,7 @@ _ORDERS: Final = {"AB": WordOrder.ABCD, "BA": WordOrder.BADC}
 _BITS: Final = re.compile(r"(\d{1,2})(?:-(\d{1,2}))?", re.ASCII)
 _INTEGER: Final = re.compile(r"-?\d{1,20}|0x[0-9a-fA-F]{1,16}", re.ASCII)
 _NUMBER: Final = re.compile(r"-?\d{1,40}(\.\d{1,40})?([eE][+-]?\d{1,3})?", re.ASCII)
+_NAN: Final = "not needed, NaN is no number and is recorded as that"
 _DEPENDENT: Final = frozenset(
     {"count", "cycle", "identity", "points", "trigger", "valid_when", "blocks"}
 )
@@ -77,6 +82,10 @@ def register_map(table: Registers, key: str, problems: Problems) -> RegisterMap 
         paths[id(block)] = (path, points)
         if isinstance(described.count, UnsetType):
             uncounted.add(path)
+    if not table.blocks and not problems.at(f"{key}.blocks"):
+        problems.add(
+            f"{key}.blocks", "is empty, needed are blocks, written as [[devices.NAME.blocks]]"
+        )
     places = [paths[id(block)] for block in (*facts, *samples)]
     if facts and not samples and whole:
         problems.add(f"{key}.blocks", 'all have read = "once", so that nothing would be recorded')
@@ -94,6 +103,8 @@ def register_map(table: Registers, key: str, problems: Problems) -> RegisterMap 
         identity=tuple(_identity(table, key, problems)),
     )
     _tell_flaws(made, key, places, uncounted, problems, whole=whole)
+    if whole and not problems.below(f"{key}.blocks"):
+        _tell_idle(table, made, key, problems)
     return None if len(problems.found) > before else made
 
 
@@ -149,6 +160,27 @@ def _identity(table: Registers, key: str, problems: Problems) -> Iterator[tuple[
             yield block, point
 
 
+def _tell_idle(table: Registers, made: RegisterMap, key: str, problems: Problems) -> None:
+    """Keys without an effect: whoever wrote them expects one."""
+    times = [block.time for block in made.blocks if block.time is not None]
+    has_zone = any(isinstance(time, SplitCalendar | Cp56 | Cp32) for time in times)
+    if not isinstance(table.timezone, UnsetType) and not problems.at(f"{key}.timezone"):
+        if not times:
+            problems.add(f"{key}.timezone", "has no effect, since no block has a time")
+        elif not has_zone and table.timezone != "UTC":
+            text = "has no effect, since unix and unix_us count seconds of UTC; "
+            hint = "where unix counts those of a clock at +01:00, write epoch = -3600 there"
+            problems.add(f"{key}.timezone", text + hint)
+    if not isinstance(table.acknowledge, UnsetType) and made.flagged is None:
+        text = (
+            "has no effect, since no block has trigger = { flag = ... }, the only one that writes"
+        )
+        problems.add(f"{key}.acknowledge", text)
+    if not isinstance(table.cycle, UnsetType) and not any(b.trigger for b in made.samples):
+        text = "has no effect, since no block has a trigger and every read is a sample"
+        problems.add(f"{key}.cycle", text)
+
+
 def _zone(table: Registers, key: str, problems: Problems) -> str:
     if isinstance(table.timezone, UnsetType):
         return "UTC"
@@ -176,6 +208,8 @@ def _block(
         return None
     if isinstance(address, UnsetType) or isinstance(table.points, UnsetType):
         return None
+    if table.read == "once" and not isinstance(table.period, UnsetType):
+        problems.add(f"{key}.period", 'has no effect with read = "once"')
     made = tuple(points.values())
     timed = time_source(table.time, f"{key}.time", zone, problems)
     spans = {point.name: (point.offset, _size(point)) for point in made}
@@ -297,13 +331,29 @@ def _sentinels(
         if text.startswith("0x") and _INTEGER.fullmatch(text):
             number = _of_words(int(text, 16), type_)
             if number is None:
-                problems.add(joined(key, text), f"these words are no number of {type_}")
+                unneeded = _unneeded(int(text, 16), type_)
+                told = unneeded or f"these words are no number of {type_}"
+                problems.add(joined(key, text), told)
             else:
                 yield number, meaning
         elif _NUMBER.fullmatch(text):
             yield Decimal(text), meaning
+        elif text.lower() in ("nan", "+nan", "-nan") and type_.is_float:
+            problems.add(joined(key, text), _NAN)
         else:
             problems.add(joined(key, text), f"{shown(text)} is not a number")
+
+
+def _unneeded(pattern: int, type_: WordType) -> str:
+    """Why words that are no number need no sentinel; empty where they are not such."""
+    if pattern >> 16 * type_.words or not (type_.is_float or type_.is_bcd):
+        return ""
+    if type_.is_bcd:
+        return "not needed, words that are no decimal digits are no measurement anyway"
+    is_infinite = math.isinf(
+        struct.unpack(f">{CODES[type_]}", pattern.to_bytes(2 * type_.words))[0]
+    )
+    return "" if is_infinite else _NAN
 
 
 def _of_words(pattern: int, type_: WordType) -> Decimal | None:
