@@ -20,6 +20,7 @@ from yardstick.fleet import settings
 from yardstick.process_cost import cost, since
 
 if TYPE_CHECKING:
+    from roclog.clock import Instant
     from roclog.outbox import Outbox
     from roclog.polling.poller import Poller
 
@@ -34,6 +35,10 @@ class TimedPoller:
         self.turns: list[tuple[int, int]] = []
 
     @property
+    def name(self) -> str:
+        return self._poller.name
+
+    @property
     def period(self) -> int:
         return self._poller.period
 
@@ -45,12 +50,15 @@ class TimedPoller:
     def samples(self) -> int:
         return self._poller.samples
 
+    def expect(self, due: int) -> None:
+        self._poller.expect(due)
+
     async def turn(self, due: int) -> None:
         self.turns.append((due, time.monotonic_ns()))
         await self._poller.turn(due)
 
-    def close(self) -> None:
-        self._poller.close()
+    def close(self, now: Instant) -> None:
+        self._poller.close(now)
 
 
 async def run(folder: Path, port: int, devices: int, seconds: float) -> dict[str, Any]:
