@@ -49,6 +49,7 @@ class Outbox:
         self._waiting: list[Entry] = []
         self._in_flight: list[Entry] = []
         self._given_up: dict[str, tuple[int, int, int]] = {}
+        self._telling: dict[str, tuple[int, int, int]] = {}
         self._failing = False
         self.on_give_up: Callable[[Entry], None] | None = None
 
@@ -63,29 +64,33 @@ class Outbox:
             self._give_up_oldest()
 
     def take(self) -> list[Entry]:
-        """What waits, to be committed; ``settle`` says how that went."""
+        """What waits, to be committed, with what was given up; ``settle`` says how that went."""
+        if not self._waiting:
+            return []
         self._in_flight, self._waiting = self._waiting, []
-        return self._in_flight
+        self._telling, self._given_up = self._given_up, {}
+        return [*self._in_flight, *self._gaps()]
 
     def settle(self, failure: StorageError | None) -> None:
         """What was taken is on disk, or waits again; one event when the disk begins to fail."""
         if failure is not None:
             self.put_back()
-        self._in_flight = []
+        self._in_flight, self._telling = [], {}
         if failure is not None and not self._failing:
             self._failing = True
             self.event("error", "storage", f"not recording, nothing is cleared: {failure}")
         elif failure is None and self._failing:
             self._failing = False
             self.event("info", "storage", "recording again")
-        if failure is None and self._given_up:
-            self._tell_given_up()
-            self.flush_soon()
 
     def put_back(self) -> None:
         """Nobody knows whether the disk has what was taken; readers drop a second copy."""
         self._waiting = self._in_flight + self._waiting
         self._in_flight = []
+        for block, (first, last, count) in self._telling.items():
+            _, later, more = self._given_up.get(block, (0, last, 0))
+            self._given_up[block] = first, later, count + more
+        self._telling = {}
         while len(self._waiting) > _MOST:
             self._give_up_oldest()
 
@@ -113,15 +118,11 @@ class Outbox:
 
     async def flush(self) -> bool:
         """Commit what waits; False (and an event, once) when the disk does not take it."""
-        while self._waiting:
-            before = len(self._given_up)
-            if self._group is not None:
-                done = await self._group.commit(self)
-            else:
-                done = await _commit(self._recorder, [self], [])
-            if len(self._given_up) >= before:
-                return done  # else the gap that tells of them waits now
-        return True
+        if not self._waiting:
+            return True
+        if self._group is not None:
+            return await self._group.commit(self)
+        return await _commit(self._recorder, [self], [])
 
     def flush_soon(self) -> None:
         """Have what waits committed with that of other devices, within a quarter of a second."""
@@ -137,11 +138,14 @@ class Outbox:
         first, _, count = self._given_up.get(block, (oldest.log_time, 0, 0))
         self._given_up[block] = (first, oldest.log_time, count + 1)
 
-    def _tell_given_up(self) -> None:
-        """One gap for each block; where gaps themselves were given up, what is missing is vague."""
+    def _gaps(self) -> list[Entry]:
+        """One for each block; where gaps themselves were given up, what is missing is vague.
+
+        In one commit with the samples behind them, which would hide them from a later run.
+        """
         now = self._clock.now().utc
-        for block, (first, last, count) in self._given_up.items():
-            gap = gap_entry(
+        return [
+            gap_entry(
                 self._device,
                 first,
                 last,
@@ -151,8 +155,8 @@ class Outbox:
                 now=now,
                 possible=not block,
             )
-            self._waiting.append(gap)
-        self._given_up.clear()
+            for block, (first, last, count) in self._telling.items()
+        ]
 
 
 class CommitGroup:

@@ -106,7 +106,7 @@ class SampleMaker:
 
     def sample(self, news: News, reading: Reading, memory: Memory) -> Entry:
         """The message of a flagged sample. ``memory`` is what holds once it is on disk."""
-        carry = self.carry(memory, reading.known_until)
+        carry = self.carry(memory, reading.known_until, reading.read.utc)
         return self.message(reading, news.seq, news.origin, carry, redelivered=news.redelivered)
 
     def message(
@@ -146,14 +146,18 @@ class SampleMaker:
             carry=carry,
         )
 
-    def carry(self, memory: Memory, read_at: int) -> dict[str, object]:
-        """What the next run inherits; what was missed before ``read_at`` ns UTC is recorded."""
+    def carry(self, memory: Memory, read_at: int, sampled_at: int) -> dict[str, object]:
+        """What the next run inherits; what was missed before ``read_at`` ns UTC is recorded.
+
+        sampled_at: UTC ns, when the last sample was read.
+        """
         return {
             "epoch": self.epoch.hex(),
             "seq": memory.seq,
             "payload": None if memory.payload is None else memory.payload.hex(),
             "cleared": memory.cleared,
             "read_at": read_at,
+            "sampled_at": sampled_at,
         }
 
     def gap(
@@ -188,10 +192,11 @@ class SampleMaker:
         *,
         guarded: bool,
         read_at: int,
+        sampled_at: int,
     ) -> Entry:
         """``asked`` and ``ended`` in ns UTC; ``memory`` as it is after the clear.
 
-        read_at: as of ``carry``; a clear shows nothing of the block.
+        read_at, sampled_at: as of ``carry``; a clear shows nothing of the block.
         """
         values = (memory.seq, self.epoch, asked, ended, result, code, guarded)
         data = CLEAR.pack(iter(values))
@@ -201,7 +206,7 @@ class SampleMaker:
             publish_time=ended,
             sequence=memory.seq & 0xFFFFFFFF,
             data=data,
-            carry=self.carry(memory, read_at),
+            carry=self.carry(memory, read_at, sampled_at),
             carry_topic=self.topic,
         )
 

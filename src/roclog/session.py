@@ -115,6 +115,8 @@ class Session:
                 device.close()
             except Exception:  # noqa: BLE001 - one device's fault keeps no other from closing
                 _log.exception("%s: while closing", device.device.name)
+            for poller in device.pollers:
+                poller.outbox.flush_soon()
         await self._group.finish()
         for device in self.devices:
             for poller in device.pollers:

@@ -15,7 +15,7 @@ from told import gaps
 from wire import rtu_frame
 
 from roclog.bus.tally import Tally
-from roclog.errors import ExceptionAnswer, NoAnswer, StorageError
+from roclog.errors import ExceptionAnswer, LinkDown, NoAnswer, StorageError
 from roclog.outbox import CommitGroup, Outbox
 from roclog.polling.clock_watch import ClockWatch
 from roclog.polling.cyclic_block import CyclicBlock
@@ -215,7 +215,7 @@ def test_the_time_between_two_runs_is_a_gap_before_the_first_sample() -> None:
         blocks, group = poller(bus, disk, block("a", 100, 1), seq=41, read_until=until)
         await blocks.turn(now())
         await group.finish()
-        assert disk.gaps() == [(Reason.DOWNTIME, 5)]
+        assert disk.gaps() == [(Reason.DOWNTIME, 4)], "the fifth is the read that was made"
         assert disk.committed[0].topic == "/flow/gap"
         assert disk.samples("/flow/a") == [(42, "0064")]
         blocks.close(VirtualClock().now())
@@ -262,7 +262,7 @@ def test_a_run_without_a_sample_leaves_what_the_trigger_compares_with() -> None:
         one = CyclicBlock(maker, SECOND, maker.known(7, answer.pdu[2:]), 0, answer.pdu[2:])
         one.begin(now())
         assert one.take(answer.pdu[2:], answer, answer.asked, outbox, due=now()) is None
-        one.close(now(), VirtualClock().now(), outbox)
+        one.close(now(), VirtualClock().now(), outbox, is_end=True)
         carried = disk.carried["/flow/a"]
         assert (carried["seq"], carried["raw"]) == (7, "0064")
 
@@ -612,7 +612,8 @@ def test_what_nobody_answered_until_the_end_is_told_there(trigger: Trigger | Non
         assert (gap.expected, gap.possible) == ((0, True) if trigger else (turns, False))
         (told,) = [e for e in disk.committed if e.topic == "/flow/gap"]
         assert told.carry is not None
-        assert (told.carry_topic, told.carry["read_at"]) == ("/flow/a", end)
+        until = read if isinstance(trigger, Counter) else end  # the next number tells since then
+        assert (told.carry_topic, told.carry["read_at"]) == ("/flow/a", until)
 
     run(main())
 
@@ -669,5 +670,51 @@ def test_a_read_that_is_late_is_none_that_is_missing() -> None:
         await group.finish()
         assert disk.gaps() == [(Reason.UNREAD, 2)]
         assert len(disk.samples("/flow/a")) == 7
+
+    run(main())
+
+
+def test_what_was_not_read_is_told_behind_what_waits_for_the_disk() -> None:
+    """Where another device answers, nobody else would tell it."""
+
+    async def main() -> None:
+        link, bus = make()
+        link.on_send = lambda adu: None if adu[3] == 50 else link.say(answer_to(adu))
+        disk = Disk()
+        blocks, _ = poller(bus, disk, block("a", 0, 1), block("mute", 50, 1))
+        first = now()
+        for _ in range(3):
+            await blocks.turn(now())
+            await next_second(2)
+        last = now()
+        await blocks.turn(last)
+        assert not blocks.outbox.empty
+        blocks.close(VirtualClock().now(), is_end=False)
+        await blocks.outbox.flush()
+        (gap,) = [gap for gap in gaps(disk.committed) if gap.block == "mute"]
+        assert (gap.expected, gap.possible) == ((last - first) // SECOND + 1, False)
+        assert "/flow/mute" in [entry.carry_topic for entry in disk.committed]
+
+    run(main())
+
+
+def test_a_request_that_never_left_has_taken_no_sample() -> None:
+    async def main() -> None:
+        link, bus = make()
+        device, disk = Registers(link, words=[7, 0]), Disk()
+        blocks, group = poller(bus, disk, triggered(FLAG_IN_BLOCK))
+        await blocks.turn(now())
+        hear, link.on_send = link.on_send, None
+        link.break_off()
+        link.open_failures = [OSError(111, "refused")]
+        with pytest.raises(LinkDown):
+            await blocks.turn(now())
+        link.on_send = hear
+        await next_second()
+        device.words[1] = 1
+        await blocks.turn(now())
+        await group.finish()
+        assert [seq for seq, _ in disk.samples("/flow/a")] == [1]
+        assert disk.gaps() == []
 
     run(main())

@@ -107,7 +107,9 @@ class Bench:
         del topic, carry
 
 
-def make(bench: Bench, memory: Memory, *, cycle: int | None = CYCLE) -> FlaggedBlock:
+def make(
+    bench: Bench, memory: Memory, *, cycle: int | None = CYCLE, read_until: int = 0, **more: int
+) -> FlaggedBlock:
     block = FlaggedBlock(
         unit=1,
         bus=bench,  # type: ignore[arg-type]
@@ -118,7 +120,8 @@ def make(bench: Bench, memory: Memory, *, cycle: int | None = CYCLE) -> FlaggedB
         clock=bench,
         acknowledge=True,
         period=100 * MS,
-        read_until=0,
+        read_until=read_until,
+        **more,
     )
     block.cadence.cycle = cycle
     return block
@@ -284,3 +287,16 @@ def test_an_end_at_which_everything_was_read_leaves_no_gap() -> None:
     bench.time += 90 * MS
     block.close(bench.now())
     assert bench.entries == []
+
+
+@pytest.mark.parametrize(("sampled_at", "expected"), [(0, 9), (2_000, 4)])
+def test_the_time_between_two_runs_is_counted_from_the_last_sample(
+    sampled_at: int, expected: int
+) -> None:
+    """It may have been read long after the read before it, when the line was down."""
+    bench = Bench([(1, 7, 5)], time=4_000 * MS)
+    block = make(bench, KNOWN, read_until=1, sampled_at=sampled_at * MS)
+    asyncio.run(block.turn(bench.time))
+    (gap,) = gaps(bench.entries)
+    assert (gap.since, gap.reason) == (1, Reason.DOWNTIME)
+    assert (gap.expected, gap.possible) == (expected, False)

@@ -183,6 +183,8 @@ def test_what_the_disk_did_not_take_in_time_is_a_gap_of_each_block() -> None:
         assert await outbox.flush()
         await group.finish()
         assert outbox.empty
+        ((_, together),) = [lot for lot in disk.lots if lot[0]]
+        assert len(together) == 1000 + 2 + 1, "samples, gaps, an event: no crash can part them"
         kept = [e.log_time for e in disk.entries if e.carry is not None]
         assert kept == list(range(7, 1007))
         assert sorted(gaps(disk.entries)) == [

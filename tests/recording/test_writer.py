@@ -15,12 +15,13 @@ from recording_bench import MAKER, START, Bench, ManualClock, open_bench, sample
 
 import roclog
 from roclog.errors import StorageError
-from roclog.recording.entries import in_order, log_entry
+from roclog.recording.entries import gap_entry, in_order, log_entry
 from roclog.recording.retention import Retention
 from roclog.recording.scan import Scan
 from roclog.recording.sealer import Sealer
 from roclog.recording.segment import HotSegment
 from roclog.recording.writer import Limits
+from roclog.schema import Reason
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -255,7 +256,26 @@ def test_a_killed_run_was_read_until_its_last_request(tmp_path: Path) -> None:
     next_run = open_bench(tmp_path / "two", clock)
     carried = next_run.inheritance.carry["/roc1/sample"]
     assert (carried["seq"], carried["read_at"]) == (1, asked.utc)
+    assert carried["sampled_at"] == clock.now().utc
     next_run.close()
+    bench.close()
+
+
+def test_a_run_killed_behind_its_last_gaps_has_told_them(tmp_path: Path) -> None:
+    """No sample says so of them, and another run would tell the same spell once more."""
+    clock = ManualClock()
+    bench = open_bench(tmp_path / "one", clock)
+    bench.commit(1)
+    told = clock.now().utc + 60 * 10**9
+    gap = gap_entry("roc1", START, told, 3, Reason.UNREAD, block="sample", now=told, possible=True)
+    carry = {**bench.inheritance.carry["/roc1/sample"], "read_at": told}
+    bench.writer.commit([gap._replace(carry=carry, carry_topic="/roc1/sample")]).result(10)
+    shutil.copytree(tmp_path / "one", tmp_path / "two")
+    next_run = open_bench(tmp_path / "two", clock)
+    carried = next_run.inheritance.carry["/roc1/sample"]
+    assert (carried["seq"], carried["read_at"]) == (1, told)
+    next_run.close()
+    bench.close()
 
 
 def test_retention_goes_by_number_and_leaves_foreign_files(tmp_path: Path) -> None:

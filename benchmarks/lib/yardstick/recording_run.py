@@ -57,8 +57,8 @@ class TimedPoller:
         self.turns.append((due, time.monotonic_ns()))
         await self._poller.turn(due)
 
-    def close(self, now: Instant) -> None:
-        self._poller.close(now)
+    def close(self, now: Instant, *, is_end: bool = True) -> None:
+        self._poller.close(now, is_end=is_end)
 
 
 async def run(folder: Path, port: int, devices: int, seconds: float) -> dict[str, Any]:

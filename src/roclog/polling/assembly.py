@@ -80,7 +80,7 @@ class Assembly:
             tally=tally,
             make_pollers=partial(self._pollers, shared),
             carried=carried,
-            answered_at=max(map(_read_at, carried.values()), default=0),
+            answered_at=max((_instant(carry, "read_at") for carry in carried.values()), default=0),
             succession=succession,
             outbox=outbox,
             writer=self._writer,
@@ -129,6 +129,7 @@ class Assembly:
             acknowledge=device.acknowledge,
             period=block.period or device.poll,
             read_until=read_until,
+            sampled_at=_instant(carried.get(maker.topic, {}), "sampled_at"),
         )
 
     def _cyclic(
@@ -204,9 +205,10 @@ def _resume(
         return uuid.uuid4().bytes, fresh, 0
 
 
-def _read_at(carry: Carried) -> int:
-    read_at = carry.get("read_at")
-    return read_at if isinstance(read_at, int) else 0
+def _instant(carry: Carried, name: str) -> int:
+    """UTC ns, 0 = not known."""
+    found = carry.get(name)
+    return found if isinstance(found, int) else 0
 
 
 def _states(carry: Carried) -> tuple[int, ChangeMemory]:

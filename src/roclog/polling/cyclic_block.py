@@ -90,7 +90,7 @@ class CyclicBlock:
         self._raw = octets
         previous = seen.utc if seen is not None else 0
         reading = Reading(words, asked, answer.began, answer.read, previous)
-        carry = self._carry(self._seen)
+        carry = self._carry(self._seen, answer.read)
         entry = self.maker.message(reading, self.seq, finding.origin, carry)
         outbox.add(entry)
         return entry
@@ -104,17 +104,28 @@ class CyclicBlock:
         """An answer never came; where a read lowers the flag it may have taken a sample with it."""
         self._is_lost = isinstance(self.maker.block.trigger, ClearOnRead)
 
-    def close(self, latest: int, now: Instant, outbox: Outbox) -> None:
+    def close(self, latest: int, now: Instant, outbox: Outbox, *, is_end: bool) -> None:
         """Let the next run know until when this one has read, or told what it has not.
 
-        latest: when the last turn was due.
+        Where samples are numbered the next number tells everything since the last one.
+
+        latest: when the last turn was due. is_end: of the run; else the turn in hand is for the
+        next device to bring.
         """
+        carry = None if self._seen is None else self._carry(self._seen, now)
         if latest - self._reckoned >= self._period or self._is_lost:
-            unread = (now.monotonic - self._reckoned) // self._period
-            gap = self._unread(self._seen, unread, now)
-            outbox.add(gap._replace(carry=self._carry(now), carry_topic=self.maker.topic))
-        elif self._seen is not None:
-            outbox.checkpoint(self.maker.topic, self._carry(self._seen))
+            until = now.monotonic if is_end else latest
+            gap = self._unread(self._seen, self._left_out(until, now), now)
+            carry = carry if self._counts else self._carry(now, now)
+            outbox.add(gap._replace(carry=carry, carry_topic=self.maker.topic))
+        elif carry is not None and outbox.empty:
+            outbox.checkpoint(self.maker.topic, carry)
+
+    def _left_out(self, until: int, now: Instant) -> int:
+        """Turns until a monotonic instant since the last that brought a sample, in any run."""
+        if self._seen is None and self._read_until:
+            return (now.utc - self._since(None, now)) // self._period
+        return (until - self._reckoned) // self._period
 
     @property
     def _counts(self) -> bool:
@@ -155,6 +166,8 @@ class CyclicBlock:
         unread = self._reckon(due, read)
         is_lost, self._is_lost = self._is_lost, False
         is_first = seen is None and self._read_until > 0
+        if is_first:
+            unread = max(0, (read.utc - self._since(None, read)) // self._period - 1)
         if (unread > 0 or is_lost or is_first) and not is_told:
             outbox.add(self._unread(seen, unread, read))
 
@@ -182,7 +195,7 @@ class CyclicBlock:
         """
         since, reason = self._since(seen, until), Reason.UNREAD
         if seen is None and self._read_until:
-            count, reason = (until.utc - since) // self._period, Reason.DOWNTIME
+            reason = Reason.DOWNTIME
         if self.maker.block.trigger is None:
             return self.maker.gap(since, until.utc, count, reason, until.utc)
         return self.maker.gap(since, until.utc, 0, reason, until.utc, possible=True)
@@ -193,6 +206,8 @@ class CyclicBlock:
             return min(self._read_until, until.utc)
         return until.utc - (until.monotonic - (seen.monotonic if seen else self._began))
 
-    def _carry(self, seen: Instant) -> Mapping[str, object]:
-        carry = {"epoch": self.maker.epoch.hex(), "seq": self.seq, "read_at": seen.utc}
+    def _carry(self, seen: Instant, now: Instant) -> Mapping[str, object]:
+        """``seen`` by the wall clock of ``now``: it may have been stepped in between."""
+        read_at = now.utc - (now.monotonic - seen.monotonic)
+        carry = {"epoch": self.maker.epoch.hex(), "seq": self.seq, "read_at": read_at}
         return carry if self.maker.block.trigger is None else {**carry, "raw": self._raw.hex()}

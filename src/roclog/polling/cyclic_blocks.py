@@ -169,6 +169,7 @@ class CyclicBlocks:
     async def _fetch(self, fetch: Fetch, due: int) -> None:
         if fetch.gate is not None and not await self._is_raised(fetch, fetch.gate, due):
             return
+        sent = self._tally.requests
         try:
             try:
                 answer = await self._bus.transact(self._unit, fetch.request, self._tally, due=due)
@@ -177,7 +178,7 @@ class CyclicBlocks:
                     raise
                 answer = await self._bus.transact(self._unit, fetch.request, self._tally, due=due)
         except DeviceError as error:
-            if not is_refusal(error):
+            if self._tally.requests > sent and not is_refusal(error):
                 for part in fetch.parts:
                     self._blocks[part.block].lose()
             raise
@@ -213,11 +214,11 @@ class CyclicBlocks:
             self._blocks[part.block].skip(answer, self.outbox, due=due)
         return False
 
-    def close(self, now: Instant) -> None:
-        if not self.outbox.empty or self._latest is None:
-            return  # what waits says itself how far it goes, once it is on disk
-        for block in self._blocks:
-            block.close(self._latest, now, self.outbox)
+    def close(self, now: Instant, *, is_end: bool = True) -> None:
+        """What waits for the disk says itself how far it goes, but for what was not read behind."""
+        if self._latest is not None:
+            for block in self._blocks:
+                block.close(self._latest, now, self.outbox, is_end=is_end)
 
     def _names(self, number: int) -> str:
         blocks = [self._blocks[part.block].maker.block for part in self._plan[number].parts]

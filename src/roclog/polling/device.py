@@ -125,10 +125,10 @@ class PolledDevice:
             self._close_pollers()
         self._report_link(self._now(), at_last=True)
 
-    def _close_pollers(self) -> None:
+    def _close_pollers(self, *, is_end: bool = True) -> None:
         now = self._clock.now()
         for poller in self.pollers:
-            poller.close(now)
+            poller.close(now, is_end=is_end)
 
     def _now(self) -> int:
         return self._clock.now().monotonic
@@ -226,7 +226,7 @@ class PolledDevice:
         self.outbox.event("warning", "identity", text)
         if not self._is_replaced:
             self._is_replaced = True
-            self._close_pollers()
+            self._close_pollers(is_end=False)
 
     async def _hand_over(self) -> bool:
         """The next device begins when everything of the last one is on disk; False = not yet.
@@ -280,7 +280,7 @@ class PolledDevice:
             return
         is_alone = any(other.failures == 0 for other in self._troubles)
         trouble, whose = self._trouble, ""
-        if is_alone and not isinstance(error, LinkDown):
+        if is_alone and own.failures > 1:
             trouble, whose = own, f"{self.pollers[index].name}: "
         if trouble.is_news(error):
             self.outbox.event("warning", "link", f"{whose}{error}")

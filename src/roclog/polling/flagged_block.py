@@ -39,7 +39,8 @@ class FlaggedBlock:
     """The straight path of one block. ``turn`` is called at every poll.
 
     acknowledge: whether the flag may be cleared; False leaves it to somebody else.
-    read_until: UTC ns at which an earlier run last read the block, 0 = never.
+    read_until: UTC ns at which an earlier run last read the block, 0 = never. sampled_at: UTC ns at
+    which its last sample was read.
     """
 
     def __init__(
@@ -55,6 +56,7 @@ class FlaggedBlock:
         acknowledge: bool,
         period: int,
         read_until: int = 0,
+        sampled_at: int = 0,
     ) -> None:
         block, trigger = maker.block, maker.block.trigger
         if not isinstance(trigger, FlagAndClear):
@@ -77,6 +79,7 @@ class FlaggedBlock:
         self._acknowledge = acknowledge
         self._read_until = read_until
         self._known_until = read_until
+        self._sampled_at = sampled_at
         self._due = self._read_due = self._began = 0
         self._quiet_at = 0
         self._clear_after = 0
@@ -134,8 +137,9 @@ class FlaggedBlock:
                     pass
             looks += 1  # the guard does not hold: read once more right before the clear
 
-    def close(self, now: Instant) -> None:
-        """Leave nothing unsaid at the end of a run."""
+    def close(self, now: Instant, *, is_end: bool = True) -> None:
+        """Leave nothing unsaid at the end of a run, or of a device."""
+        del is_end  # no turns are counted
         self._tell_missed(self.cadence.close(), now)
         known_until = self.last.seen_until if self.last is not None else 0
         candidate = self._memory.candidate
@@ -144,11 +148,12 @@ class FlaggedBlock:
             self._event("warning", "unconfirmed", f"stopped before a second read of {raw}")
             known_until = self._reading(candidate).known_until
         if self._due > self._read_due:
-            gap = self._unread(self.last, now)
-            carry = self._maker.carry(self._memory, now.utc)
+            since = known_until if candidate is not None else self._since(self.last, now)
+            gap = self._unread(since, now)
+            carry = self._maker.carry(self._memory, now.utc, self._sampled_at)
             self.outbox.add(gap._replace(carry=carry, carry_topic=self._maker.topic))
         elif self.last is not None and self.outbox.empty:
-            carry = self._maker.carry(self._memory, known_until)
+            carry = self._maker.carry(self._memory, known_until, self._sampled_at)
             self.outbox.checkpoint(self._maker.topic, carry)
 
     async def _look(self) -> Verdict:
@@ -190,6 +195,7 @@ class FlaggedBlock:
             if not news.redelivered:
                 self._follow(kept, reading)
             self._known_until = kept.known_until
+            self._sampled_at = kept.read.utc
             self.outbox.add(self._maker.sample(news, kept, self._memory))
         if not verdict.again and self._memory.candidate is None:
             self._tell_missed(self.cadence.quiet(reading.asked.monotonic), reading.read)
@@ -258,6 +264,7 @@ class FlaggedBlock:
             code,
             guarded=guarded,
             read_at=self._known_until,
+            sampled_at=self._sampled_at,
         )
         self.outbox.note(note)
 
@@ -272,7 +279,7 @@ class FlaggedBlock:
         match note:
             case Note.BASELINE:
                 self._event("info", "baseline", f"first block, flag down, not a sample: {raw}")
-                carry = self._maker.carry(self._memory, reading.seen_until)
+                carry = self._maker.carry(self._memory, reading.seen_until, self._sampled_at)
                 self.outbox.checkpoint(self._maker.topic, carry)
             case Note.POWER_UP:
                 self._tell_power_up(reading)
@@ -316,7 +323,8 @@ class FlaggedBlock:
         since, self._read_until = min(self._read_until, now.utc), 0
         if since:
             cycle = self.cadence.cycle
-            passed = (now.utc - since) // cycle if cycle else 0
+            last = max(since, self._sampled_at)  # it was completed by then
+            passed = max(0, now.utc - last) // cycle if cycle else 0
             expected, possible = max(0, passed - 1), passed <= 1
             self.outbox.add(
                 self._maker.gap(
@@ -329,14 +337,19 @@ class FlaggedBlock:
         unread, self._read_due = (self._due - self._read_due) // self.period - 1, self._due
         is_counted = self._read_until if self.last is None else self.cadence.cycle
         if unread > 0 and not is_counted:
-            self.outbox.add(self._unread(self.last, read))
+            self.outbox.add(self._unread(self._since(self.last, read), read))
 
-    def _unread(self, last: Reading | None, until: Instant) -> Entry:
-        """What was completed since the last read, or since the run began, is not known."""
-        seen = self._began if last is None else last.asked.monotonic
-        since, reason = until.utc - (until.monotonic - seen), Reason.UNREAD
+    def _since(self, last: Reading | None, until: Instant) -> int:
+        """UTC ns of the last read, or from which on this run or an earlier one knows nothing."""
         if last is None and self._read_until:
-            since, reason = min(self._read_until, until.utc), Reason.DOWNTIME
+            return min(self._read_until, until.utc)
+        seen = self._began if last is None else last.asked.monotonic
+        return until.utc - (until.monotonic - seen)
+
+    def _unread(self, since: int, until: Instant) -> Entry:
+        """What was completed in this time is not known."""
+        is_first = self.last is None and self._read_until > 0
+        reason = Reason.DOWNTIME if is_first else Reason.UNREAD
         cycle = self.cadence.cycle
         expected = (until.utc - since) // cycle if cycle else 0
         return self._maker.gap(since, until.utc, expected, reason, until.utc, possible=True)

@@ -47,6 +47,9 @@ class Poller(Protocol):
         """
         ...
 
-    def close(self, now: Instant) -> None:
-        """The end of a run: what is still open is said, and what was not read since it last was."""
+    def close(self, now: Instant, *, is_end: bool = True) -> None:
+        """What is still open is said, and what was not read since it last was.
+
+        is_end: of the run; else another device has answered, and brings the turn in hand.
+        """
         ...

@@ -143,9 +143,12 @@ class StampedTable:
             self._tell_blind()
             await self._commit()
 
-    def close(self, now: Instant) -> None:
+    def close(self, now: Instant, *, is_end: bool = True) -> None:
+        """A list that is refused all the time is told as that, and makes not the table blind."""
+        del is_end  # nothing is counted
         for piece in self._pieces:
-            if piece.due < self._latest:
+            is_known = piece.last is not None or piece.request not in self._refused
+            if piece.due < self._latest and is_known:
                 self._find_blind(piece.last, now)
         if self._blind is not None:
             gap = self._maker.gap(*self._blind)

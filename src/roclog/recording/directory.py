@@ -264,6 +264,7 @@ def _apply_message(channel: Channel, data: bytes, carry: Carry) -> None:
         entry["payload"] = b"".join(raw[2 * a : 2 * (a + n)] for a, n in ranges).hex()
         entry["cleared"] = sample["origin"] != Origin.FLAG
         entry["read_at"] = sample["previous_read_at"] or sample["asked_at"]
+        entry["sampled_at"] = sample["read_at"]
     elif "trigger" in channel.metadata:
         entry["raw"] = raw.hex()
         entry["read_at"] = sample["asked_at"]

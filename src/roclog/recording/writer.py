@@ -201,6 +201,9 @@ class Writer:
         for entry in entries:
             if entry.carry is not None:
                 self._inheritance.carry[entry.carry_topic or entry.topic] = dict(entry.carry)
+        if any(entry.carry is not None and entry.topic.endswith("/gap") for entry in entries):
+            # After a crash the samples of the segment say how far each block was read; no gap does.
+            self._directory.write_state_file(self._inheritance)
         self._unsynced = [] if durable else self._unsynced + entries
 
     def _learn(self, job: _Job) -> None:
