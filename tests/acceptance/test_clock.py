@@ -6,16 +6,19 @@ import shutil
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import pytest
-from bench.judge import check_gaps, compare
+from bench.judge import compare
 from bench.needs import need
 from bench.peer import Roc
 from bench.recorder import Recorder
-from bench.recording import csv_rows, events, gaps, items, stream
+from bench.recording import csv_rows, events, items, stream
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from bench.process import Child
 
 _LIBRARY = "libfaketimeMT.so.1"
@@ -35,11 +38,19 @@ def cleared(roc: Roc, goal: int) -> bool:
     return len(roc.truth.cleared) >= goal
 
 
-def test_steps_of_the_wall_clock(tmp_path: Path) -> None:
-    offset = tmp_path / "offset"
+@pytest.fixture
+def quick() -> Iterator[Path]:
+    """A folder in memory: every look at the clock opens a file, on a disk that others may sync."""
+    memory = Path("/dev/shm")
+    with TemporaryDirectory(dir=memory if memory.is_dir() else None) as name:
+        yield Path(name)
+
+
+def test_steps_of_the_wall_clock(tmp_path: Path, quick: Path) -> None:
+    offset = quick / "offset"
 
     def step(seconds: int) -> None:
-        new = tmp_path / "offset.new"
+        new = quick / "offset.new"
         new.write_text(f"{seconds:+d}")
         new.replace(offset)
 
@@ -62,11 +73,7 @@ def test_steps_of_the_wall_clock(tmp_path: Path) -> None:
         truth = roc.end()
     comparison = compare(csv_rows(recorder.directory, tmp_path / "csv"), truth)
     assert comparison.clean
-    first = truth.cleared[0]  # a busy host may start too late for one, well before the first step
-    assert first <= 2
-    assert comparison.found == list(range(first, comparison.found[-1] + 1))
-    before = [k for k in comparison.missing if k < first]
-    assert check_gaps(before, truth, gaps(recorder.directory, "roc1")).uncovered == []
+    assert comparison.found == list(range(1, comparison.found[-1] + 1))
     assert set(truth.cleared) <= set(comparison.found)
     steps = events(recorder.directory, "clock")
     assert len(steps) == 2, steps
