@@ -134,7 +134,8 @@ class Outbox:
         oldest = self._waiting.pop(next(samples, 0))
         if self.on_give_up is not None:
             self.on_give_up(oldest)
-        block = oldest.topic.rpartition("/")[2] if oldest.carry is not None else ""
+        is_sample = oldest.carry is not None and not oldest.carry_topic
+        block = oldest.topic.rpartition("/")[2] if is_sample else ""
         first, _, count = self._given_up.get(block, (oldest.log_time, 0, 0))
         self._given_up[block] = (first, oldest.log_time, count + 1)
 

@@ -6,8 +6,9 @@ import asyncio
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import pytest
 from bus_fakes import VirtualClock, run
 from told import gaps
 
@@ -195,17 +196,22 @@ def test_what_the_disk_did_not_take_in_time_is_a_gap_of_each_block() -> None:
     run(main())
 
 
-def test_a_gap_that_the_disk_did_not_take_in_time_is_one_nobody_can_count() -> None:
+@pytest.mark.parametrize("last", [{}, {"carry": {}, "carry_topic": "/one/a"}])
+def test_a_gap_that_the_disk_did_not_take_in_time_is_one_nobody_can_count(
+    last: dict[str, Any],
+) -> None:
+    """Also the last one of a block, which says what a later run must know."""
+
     async def main() -> None:
         disk = Disk(failing=True)
         outbox = Outbox("one", disk, VirtualClock())
         for time in range(1001):
-            outbox.add(Entry("/one/gap", time, time, 0, b""))
+            outbox.add(Entry("/one/gap", time, time, 0, b"", **last))
         disk.failing = False
         assert await outbox.flush()
-        (last,) = gaps(disk.entries[1000:])
-        assert (last.since, last.until, last.reason) == (0, 0, Reason.STORAGE)
-        assert (last.possible, last.block) == (True, "")
+        (told,) = gaps(disk.entries[1000:])
+        assert (told.since, told.until, told.reason) == (0, 0, Reason.STORAGE)
+        assert (told.possible, told.block) == (True, "")
 
     run(main())
 
