@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import pytest
 from bench.judge import check_gaps, compare, excuse
-from bench.msx import Msx
+from bench.msx import DECLARATIONS, Msx
 from bench.peer import Roc
 from bench.process import Child
 from bench.recorder import Recorder
@@ -41,35 +41,15 @@ CLOCK, VALUES, INFORMATION = 10500, 15300, 15450
 CHANNELS: Final = {"clock": CLOCK, "values": VALUES, "information": INFORMATION}
 PERIODS: Final = {CLOCK: 200_000_000, VALUES: 250_000_000, INFORMATION: 300_000_000}
 """Each far above the time-out, so that a call is never left out because others took long."""
-MODULE: Final = """poll = "200ms"
-calls = ["clock"]
-[[devices.msx1.functions]]
-name = "values"
-register = 15300
-period = "250ms"
-trigger = { counter = "counter" }
-layout = [
-  { name = "counter", type = "uint32" },
-  { name = "value", type = "float32", count = 16, unit = "um" },
-  { name = "stamp", type = "time_stamp" },
-]
-[[devices.msx1.functions]]
-name = "information"
-register = 15450
-period = "300ms"
-repeatable = true
-layout = [
-  { name = "kind", type = "bytes", size = 1 },
-  { name = "serial", type = "uint32" },
-  { name = "text", type = "text", size = 32 },
-  { name = "level", type = "int16", scale = 0.01, unit = "mm" },
-  { name = "gain", type = "float32" },
-  { name = "revision", type = "uint16" },
-  { name = "offset", type = "int32" },
-  { name = "key", type = "bytes", size = 33 },
-  { name = "comment", type = "text", size = 51 },
-]
-"""
+_FUNCTION: Final = "[[devices.msx1.functions]]"
+_VALUES, _INFORMATION = DECLARATIONS.split(_FUNCTION)[1:3]
+MODULE: Final = _FUNCTION.join(
+    (
+        'poll = "200ms"\ncalls = ["clock"]\n',
+        _VALUES.replace('"100ms"', '"250ms"'),
+        _INFORMATION.replace('"200ms"', '"300ms"\nrepeatable = true'),
+    )
+)
 TOLD: Final = {
     "clock": ("seconds", "microseconds"),
     "values": ("counter",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -242,6 +243,21 @@ def test_a_function_that_may_act_is_not_called(tmp_path: Path) -> None:
     assert result.left_out == (
         "function 15300 (values), since a call may act: repeatable = true says it does not",
     )
+
+
+def test_a_function_whose_answer_was_lost_is_called_again_only_where_that_is_declared(
+    tmp_path: Path,
+) -> None:
+    lost = Counter[int]()
+
+    def once(pdu: bytes) -> bytes | None:
+        register = int.from_bytes(pdu[1:3])
+        lost[register] += 1
+        return None if register != 10200 and lost[register] == 1 else module(pdu)
+
+    result, asked, _ = probed(device(tmp_path, MODULE), once, replace(TCP, dialect=MSX_E))
+    assert [int.from_bytes(pdu[1:3]) for pdu in asked] == [10200, 10500, 15400, 15400]
+    assert [part.state for part in result.parts] == [State.ANSWERS, State.SILENT, State.ANSWERS]
 
 
 def test_an_answer_of_the_old_kind_is_told_as_wrong(tmp_path: Path) -> None:
