@@ -17,6 +17,7 @@ from roclog.polling.facts import read_words
 from roclog.polling.refusal import described, is_refusal
 from roclog.polling.stamped_table import oldest_baseline, stamp_decoder
 from roclog.register_map import ClearOnRead
+from roclog.request_plan import place_of
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator
@@ -231,10 +232,11 @@ def _harm(block: Block, device: Device) -> str:
     Functions that a document describes change nothing; of those that a configuration declares only
     it knows.
     """
+    place = place_of(block, device.profile.dialect)
     if isinstance(block.trigger, ClearOnRead):
-        return f"{_place(block, device)}, since a read clears it"
+        return f"{place}, since a read clears it"
     if block.packed and not block.repeatable:
-        return f"{_place(block, device)}, since a call may act: repeatable = true says it does not"
+        return f"{place}, since a call may act: repeatable = true says it does not"
     return ""
 
 
@@ -243,7 +245,7 @@ async def _ask_for_block(bus: Bus, device: Device, block: Block) -> Part:
     read = await _read(bus, device, block, again=again)
     values = [] if read.decoded is None else read.decoded.values
     texts = tuple(v.strip() for v in values if isinstance(v, str) and v.strip())
-    return Part(_place(block, device), read.state, read.problem, texts)
+    return Part(place_of(block, device.profile.dialect), read.state, read.problem, texts)
 
 
 async def _ask_for_inputs(
@@ -288,10 +290,3 @@ def _state(error: DeviceError) -> State:
     if isinstance(error, ExceptionAnswer):
         return State.REFUSES if is_refusal(error) else State.SILENT
     return State.WRONG if isinstance(error, WrongAnswer) else State.SILENT
-
-
-def _place(block: Block, device: Device) -> str:
-    if device.profile.dialect.has_functions:
-        return f"function {block.address} ({block.name})"
-    end = f" to {block.address + block.count - 1}" if block.count > 1 else ""
-    return f"{block.table.replace('_', ' ')} {block.address}{end} ({block.name})"

@@ -64,6 +64,14 @@ def flag_request(flag: ClearOnRead) -> Request:
     return kind(flag.table.read_function, flag.address, 1)
 
 
+def place_of(block: Block, dialect: Dialect) -> str:
+    """For people: what a read of ``block`` asks for, and where."""
+    if dialect.has_functions:
+        return f"function {block.address} ({block.name})"
+    end = f" to {block.address + block.count - 1}" if block.count > 1 else ""
+    return f"{block.table.replace('_', ' ')} {block.address}{end} ({block.name})"
+
+
 def plan_requests(blocks: Sequence[Block], dialect: Dialect = STANDARD) -> tuple[Fetch, ...]:
     """The fewest requests that read all blocks once, each block's octets in order.
 

@@ -16,6 +16,7 @@ from roclog.cli import output
 from roclog.config import BusLoad, bus_loads, load, warnings
 from roclog.errors import ConfigError, DeviceError, Problem, StorageError
 from roclog.quantities import format_duration
+from roclog.request_plan import place_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,8 +47,8 @@ def check(context: click.Context, config: Path, *, probe: bool, as_json: bool) -
     """Validate CONFIG and show what will be recorded.
 
     All problems are reported at once, each with its key. Exit code 3: the configuration cannot be
-    used; 6: the recording directory cannot. With --probe 4: a device gave nothing of its data;
-    5: a device gave only a part.
+    used; 6: the recording directory cannot. With --probe 4: no device gave anything of its data;
+    5: something is missing.
 
     \b
     Example:
@@ -243,10 +244,10 @@ def _samples(device: Device) -> list[str]:
 
 
 def _asked_for(device: Device, block: Block) -> str:
-    if device.profile.dialect.has_functions:
-        return f"calls function {block.address} ({block.name}), {block.octets} octets"
-    end = f" to {block.address + block.count - 1}" if block.count > 1 else ""
-    return f"reads {block.table.replace('_', ' ')} {block.address}{end} ({block.name})"
+    dialect = device.profile.dialect
+    if dialect.has_functions:
+        return f"calls {place_of(block, dialect)}, {block.octets} octets"
+    return f"reads {place_of(block, dialect)}"
 
 
 def _terms(bus: BusLoad) -> list[str]:

@@ -21,7 +21,7 @@ from roclog.errors import (
 )
 from roclog.modbus.request import WriteRegister
 from roclog.polling.refusal import described
-from roclog.request_plan import read_request
+from roclog.request_plan import place_of, read_request
 from roclog.word_types import block_words
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ async def read_identity(target: Target) -> list[tuple[int, ...]]:
         except NoAnswer as error:
             if not once:
                 raise
-            place = _place(blocks[0], is_function=True)
+            place = place_of(blocks[0], profile.dialect)
             more = "a function is called once only: try again"
             raise NoAnswer(f"{place}: {error}; {more}") from error
         return words
@@ -225,7 +225,7 @@ class Talk:
     async def _read(self, unit: int, block: Block) -> tuple[int, ...]:
         dialect, tally = self.device.profile.dialect, Tally()
         request = read_request(block, dialect)
-        place = _place(block, is_function=dialect.has_functions)
+        place = place_of(block, dialect)
         try:
             answer = await self._bus.transact(unit, request, tally)
         except ExceptionAnswer as refusal:
@@ -244,11 +244,3 @@ class Talk:
     def now(self) -> int:
         """Monotonic nanoseconds."""
         return self._clock.now().monotonic
-
-
-def _place(block: Block, *, is_function: bool) -> str:
-    """For people: where a block stands."""
-    if is_function:
-        return f"function {block.address} ({block.name})"
-    what = block.table.replace("_", " ")
-    return f"{what} {block.address} to {block.address + block.count - 1} ({block.name})"

@@ -80,7 +80,7 @@ SENSORS: Final[Mapping[str, Sensor]] = MappingProxyType(
 )
 """By model."""
 _SAME_AS: Final[Mapping[str, str]] = MappingProxyType({"model-15L": "model-15"})
-"""The table of the manual has "15, 15L" in one row."""
+"""Model 15L measures as Model 15 does."""
 
 RELAYS: Final = Block(
     name="relays",
